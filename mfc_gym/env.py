@@ -1,0 +1,113 @@
+"""The environment: one perturbed flat plant, one episode at a time."""
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_gym import rendering
+from mfc_gym.simulation import Settings, Simulation
+
+Array = NDArray[np.float64]
+
+
+class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
+    """Track y_d with y = h(x) of x' = f(x) + g(x) u + Delta(x), eq. (1) of [1], the input held over each sampling interval.
+
+    Observation: [x (n), xi_n (n), y_d ... y_d^(n) (n+1)], float64. Action: u / input_limit in [-1, 1].
+    Reward: -dt min(cost, cost_max); leaving the operating region (terminated) costs cost_max for the rest of the horizon.
+    The options are those of `mfc_gym.simulation.Settings`; further keywords go to the plant (the chain's `order`, say).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 (Gymnasium's own convention)
+
+    def __init__(
+        self,
+        system: str = "PerturbedChain",
+        scenario: str = "paper",
+        theta: tuple[float, ...] | None = None,
+        initial_state: tuple[float, ...] | None = None,
+        reference: str | None = None,
+        reference_parameters: dict[str, float] | None = None,
+        derivatives: str = "exact",
+        dt: float | None = None,
+        horizon: float | None = None,
+        input_limit: float | None = None,
+        cost: str = "absolute",
+        cost_max: float | None = None,
+        effort: float = 0.0,
+        tolerance: float = 1e-8,
+        substeps: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"`render_mode` must be one of {self.metadata['render_modes']}, got {render_mode!r}.")
+        given = Settings(
+            system, scenario, theta, initial_state, reference, reference_parameters, derivatives, dt, horizon, input_limit,
+            cost, cost_max, effort, tolerance, substeps,
+        )  # fmt: skip
+        self.simulation = Simulation(given, options)
+        self.render_mode = render_mode
+        self.action_space = self.simulation.action_space
+        self.observation_space = self.simulation.observation_space
+        self._advance = self.simulation.kernel.advance_one
+        self._settings = self.simulation.settings
+        self._row: Array | None = None
+        self._recorder = rendering.Recorder(self.simulation) if render_mode else None
+
+    @property
+    def nominal(self) -> Any:
+        """What a controller may know: `mfc_gym.nominal.NominalModel`."""
+        return self.simulation.nominal
+
+    @property
+    def dt(self) -> float:
+        """Sampling time, s."""
+        return self.simulation.dt
+
+    @property
+    def theta(self) -> Array:
+        """The true uncertain parameters of this episode, shape (p,)."""
+        return self.simulation.row_theta(self._episode()).copy()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._row = self.simulation.begin(self.np_random, options)
+        observation = self.simulation.kernel.first_observation(self._row)
+        if self._recorder is not None:
+            self._recorder.begin(observation)
+        return observation, {}
+
+    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        value = scalar_action(action)
+        row = self._episode()
+        observation, reward, terminated, truncated = self._advance(row, value, self._settings)
+        if self._recorder is not None:
+            self._recorder.add(observation, value)
+        info: dict[str, Any] = {}
+        if terminated or truncated:
+            info["is_success"] = self.simulation.success(observation, terminated)
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> Any:
+        """The episode so far as a picture, shape (height, width, 3), uint8."""
+        return None if self._recorder is None else self._recorder.picture()
+
+    def _episode(self) -> Array:
+        if self._row is None:
+            raise gym.error.ResetNeeded("Call reset before step.")
+        return self._row
+
+
+def scalar_action(action: Any) -> float:
+    """The one number of an action of shape (1,). Raises ValueError if it is not finite, not numeric or wrongly shaped."""
+    try:
+        value = float(action[0]) if np.shape(action) == (1,) else math.nan
+    except (TypeError, ValueError):
+        value = math.nan
+    if math.isfinite(value):
+        return value
+    raise ValueError(f"`action` must be one finite number, shape (1,), got {action!r}.")

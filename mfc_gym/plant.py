@@ -1,0 +1,119 @@
+"""A plant, ready to run: its compiled kernels and its declaration, found by name without touching SymPy when cached."""
+
+import importlib
+import importlib.util
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_gym import kernels
+from mfc_gym.systems import SYSTEMS
+from mfc_gym.task import Task
+
+if TYPE_CHECKING:
+    from mfc_gym.flat_system import FlatSystem
+
+Array = NDArray[np.float64]
+GENERATORS = tuple(Path(__file__).with_name(f"{name}.py") for name in ("flat_system", "code_generation", "task", "plant_file"))
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The true plant. `kernel` holds f + g u + Delta and tau_n; `nominal` what a controller may know."""
+
+    name: str
+    options: Mapping[str, Any]
+    kernel: ModuleType
+    nominal: ModuleType
+
+    @property
+    def order(self) -> int:
+        return len(self.kernel.STATE)
+
+    @property
+    def state(self) -> tuple[str, ...]:
+        return tuple(self.kernel.STATE)
+
+    @property
+    def theta(self) -> tuple[str, ...]:
+        """Names of the uncertain parameters."""
+        return tuple(self.kernel.THETA)
+
+    @property
+    def theta_set(self) -> tuple[Array, Array]:
+        """(low, high) of the declared set, each of shape (p,)."""
+        return np.array(self.kernel.THETA_LOW), np.array(self.kernel.THETA_HIGH)
+
+    @property
+    def task(self) -> Task:
+        return self.kernel.TASK
+
+    def region(self, input_limit: float) -> tuple[Array, Array]:
+        """(low, high) of the operating region, each of shape (n,); unit of the state."""
+        low, high = self.kernel.region(input_limit)
+        return np.array(low, dtype=float), np.array(high, dtype=float)
+
+    @cached_property
+    def system(self) -> "FlatSystem":
+        """The equations themselves (imports SymPy)."""
+        return build_system(self.name, self.options)
+
+
+def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
+    """The FlatSystem behind a registered name, a "module:attribute" or a plant file.
+
+    Raises ValueError for an unknown name or options the plant does not take.
+    """
+    if name.endswith(".toml"):
+        from mfc_gym.plant_file import load_plant_file
+
+        if options:
+            raise ValueError(f"a plant file takes no options, got {sorted(options)}.")
+        return load_plant_file(name)
+    module, _, attribute = _location(name).partition(":")
+    make = getattr(importlib.import_module(module), attribute)
+    try:
+        system: FlatSystem = make(**options)
+    except TypeError as error:
+        raise ValueError(f"system {name!r} does not take these options: {error}.") from error
+    return system
+
+
+def load(name: str, **options: Any) -> Plant:
+    """The plant `name` with its kernels, compiled or from the cache."""
+    if name.endswith(".toml"):
+        path = Path(name)
+        if not path.is_file():
+            raise ValueError(f"`system` must be a plant file or a registered name, there is no file {name!r}.")
+        origin = path
+    else:
+        spec = importlib.util.find_spec(_location(name).partition(":")[0])
+        if spec is None or spec.origin is None:
+            raise ValueError(f"`system` must name an importable module, got {name!r}.")
+        origin = Path(spec.origin)
+    library = tuple(sorted(Path(__file__).with_name("systems").glob("*.py")))
+    sources = tuple(p for p in (*GENERATORS, *library, origin) if p.exists())
+    hashed = kernels.key(kernels.fingerprint(*sources), name, json.dumps(options, sort_keys=True))
+
+    def source(kind: str) -> str:
+        from mfc_gym import code_generation
+
+        system = build_system(name, options)
+        return code_generation.plant_source(system) if kind == "plant" else code_generation.nominal_source(system)
+
+    modules = [kernels.load(f"mfc_{kind}_{hashed}", lambda kind=kind: source(kind)) for kind in ("plant", "nominal")]
+    return Plant(name, options, *modules)
+
+
+def _location(name: str) -> str:
+    location = SYSTEMS.get(name, name)
+    if ":" not in location:
+        raise ValueError(f"`system` must be one of {sorted(SYSTEMS)}, a module:attribute or a .toml file, got {name!r}.")
+    return location
