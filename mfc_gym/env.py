@@ -73,6 +73,11 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         """The true uncertain parameters of this episode, shape (p,)."""
         return self.simulation.row_theta(self._episode()).copy()
 
+    @property
+    def reference_parameters(self) -> Array:
+        """The parameters of this episode's reference, shape (r,)."""
+        return self.simulation.row_reference(self._episode()).copy()
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
         self._row = self.simulation.begin(self.np_random, options)

@@ -47,9 +47,9 @@ def fingerprint(*paths: Path) -> str:
     return digest.hexdigest()
 
 
-def library_fingerprint(*modules: str) -> str:
-    """Hash of modules of this package whose compiled functions a generated module calls."""
-    return fingerprint(*(Path(__file__).with_name(f"{module}.py") for module in modules))
+def files(package: str, *modules: str) -> tuple[Path, ...]:
+    """Source files of modules whose compiled functions a generated module calls."""
+    return tuple(Path(__file__).parents[1] / package / f"{module}.py" for module in modules)
 
 
 def key(*parts: str) -> str:

@@ -100,5 +100,5 @@ def load(plant: Plant, reference: Reference, cost: str) -> ModuleType:
         clock=n + p + r,
         size=3 * n + 1,
     )
-    hashed = kernels.key(source, kernels.library_fingerprint("references", "reward"))
+    hashed = kernels.key(source, kernels.fingerprint(*kernels.files("mfc_gym", "references", "reward")))
     return kernels.load(f"mfc_step_{hashed}", lambda: source)

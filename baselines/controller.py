@@ -1,0 +1,59 @@
+"""What every controller is: an object with Stable-Baselines3's `predict`, its memory travelling in `state`."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_gym import observation as layout
+from mfc_gym.nominal import NominalModel
+
+Array = NDArray[np.float64]
+
+
+class Controller(ABC):
+    """Maps observations to actions; works on one observation or on a batch (leading axis)."""
+
+    name: str
+    nominal: NominalModel
+    reads: tuple[str, ...]  # of: "output", "output derivatives", "state", "nominal model", "bounds", "true model"
+
+    @property
+    @abstractmethod
+    def memory_size(self) -> int:
+        """Numbers of memory per episode, m."""
+
+    @abstractmethod
+    def control(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> Array:
+        """Input u, shape (N,), abs(u) <= input_limit, from observations (N, 3 n + 1).
+
+        `memory` (N, m) is updated in place; where `fresh` (N,) is True the episode begins and the old memory is void.
+        """
+
+    def predict(
+        self,
+        observation: Array,
+        state: Array | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Array]:
+        """(action, state), action = u / input_limit of shape (..., 1).
+
+        Raises ValueError for an observation that is not finite or does not fit the plant.
+        """
+        observation = np.asarray(observation, dtype=float)
+        n = self.nominal.order
+        if observation.ndim not in (1, 2) or observation.shape[-1] != layout.size(n) or not np.isfinite(observation).all():
+            raise ValueError(
+                f"`observation` must be finite, of shape ({layout.size(n)},) or (N, {layout.size(n)}) for a plant of order {n}, "
+                f"got {observation if observation.size < 50 else observation.shape}."
+            )
+        rows = np.ascontiguousarray(np.atleast_2d(observation))
+        fresh = np.full(len(rows), state is None)
+        if episode_start is not None:
+            fresh |= np.broadcast_to(np.asarray(episode_start, dtype=bool).reshape(-1), fresh.shape)
+        memory = np.zeros((len(rows), self.memory_size))
+        if state is not None:
+            memory[:] = np.atleast_2d(state)
+        action = self.control(rows, memory, fresh)[:, None] / self.nominal.input_limit
+        return (action[0], memory[0]) if observation.ndim == 1 else (action, memory)

@@ -1,0 +1,90 @@
+"""Linear design of the two loops: gains from poles, the Lyapunov function V = e' P e, and the sliding surface w = 0.
+
+[1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output time-derivatives
+    to compensate unmatched uncertainties.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_lyapunov
+
+Array = NDArray[np.float64]
+
+
+def brunovsky(n: int) -> tuple[Array, Array]:
+    """(A, B) of the chain of n integrators, shapes (n, n) and (n,)."""
+    return np.eye(n, k=1), np.eye(n)[-1]
+
+
+def place(poles: Sequence[complex]) -> Array:
+    """Gains k with eig(A - B k') = poles, shape (n,). Raises ValueError unless they are stable and closed under conjugation."""
+    given = np.asarray(poles, dtype=complex)
+    if given.ndim != 1 or not np.isfinite(given).all() or not (given.real < 0).all():
+        raise ValueError(f"`poles` must be numbers with negative real part, got {list(poles)}.")
+    k = np.poly(given)[:0:-1]
+    if np.abs(np.imag(k)).max() > 1e-9 * np.abs(k).max():
+        raise ValueError(f"`poles` must be closed under conjugation, got {list(poles)}.")
+    return np.real(k)
+
+
+def hurwitz(name: str, k: Sequence[float], n: int) -> Array:
+    """The gains k, shape (n,), checked: A - B k' must be Hurwitz. Raises ValueError naming `name` and the poles."""
+    gains = np.asarray(k, dtype=float)
+    if gains.shape != (n,) or not np.isfinite(gains).all():
+        raise ValueError(f"`{name}` must be {n} finite gains, got {k!r}.")
+    poles = np.roots([1.0, *gains[::-1]])
+    if not (poles.real < 0).all():
+        raise ValueError(f"`{name}` must make A - B k' Hurwitz, got {gains} with poles {np.round(poles, 4)}.")
+    return gains
+
+
+def closed_loop(k: Array) -> Array:
+    """A - B k', shape (n, n)."""
+    A, B = brunovsky(len(k))
+    return A - np.outer(B, k)
+
+
+def from_Q(k: Array, Q: Array | None = None) -> Array:  # noqa: N802 (the paper's letter)
+    """P of (A - B k')' P + P (A - B k') = -Q, shape (n, n); the paper's choice is Q = I."""
+    Q = np.eye(len(k)) if Q is None else np.asarray(Q, dtype=float)
+    return positive_definite("Q", solve_continuous_lyapunov(closed_loop(k).T, -positive_definite("Q", Q, len(k))), len(k))
+
+
+def equal_poles(pole: float, n: int) -> Array:
+    """P whose surface w = 0 has all n-1 poles at -pole, for gains with all n poles at -pole; shape (n, n).
+
+    P = T' D T, rows of T the coefficients of (s + pole)^i, D = diag(pole^(2 (n-1-i))), i = 0 .. n-1. Then P B are the
+    coefficients of (s + pole)^(n-1) and V' <= -2 pole (1 - cos(pi / (n+1))) V.
+    """
+    T = np.zeros((n, n))
+    for i in range(n):
+        T[i, : i + 1] = np.poly([-pole] * i)[::-1] if i else 1.0
+    return T.T @ np.diag([pole ** (2.0 * (n - 1 - i)) for i in range(n)]) @ T
+
+
+def positive_definite(name: str, P: Array, n: int) -> Array:
+    """P checked: symmetric, positive definite, shape (n, n). Raises ValueError naming `name`."""
+    P = np.asarray(P, dtype=float)
+    if P.shape != (n, n) or not np.isfinite(P).all() or not np.allclose(P, P.T, atol=1e-9 * np.abs(P).max()):
+        raise ValueError(f"`{name}` must be a symmetric matrix of shape ({n}, {n}), got {P.tolist()}.")
+    if (smallest := np.linalg.eigvalsh(P)[0]) <= 0:
+        raise ValueError(f"`{name}` must be positive definite, got smallest eigenvalue {smallest:g}.")
+    return P
+
+
+def dissipation(P: Array, k: Array) -> Array:
+    """W's matrix -((A - B k')' P + P (A - B k')), which must be positive definite; shape (n, n)."""
+    closed = closed_loop(k)
+    return -(closed.T @ P + P @ closed)
+
+
+def surface(P: Array) -> Array:
+    """c = P B, so that w = 2 c' e, eq. (22b) of [1]; shape (n,)."""
+    return np.asarray(P)[:, -1]
+
+
+def sliding_poles(P: Array) -> NDArray[np.complex128]:
+    """Poles of the motion on w = 0: roots of c_n s^(n-1) + ... + c_1, shape (n-1,)."""
+    return np.sort_complex(np.roots(surface(P)[::-1]).astype(complex))

@@ -1,0 +1,84 @@
+"""The model control loop: where xi* comes from. Each variant is a triple begin / error / advance on one row of memory.
+
+e_star = xi* - xi_d. With the linear law v = -k' e_star, eq. (20) of [1], the loop obeys e_star' = (A - B k') e_star, eq. (21):
+its exact sampled solution is e_star(t + dt) = E e_star(t), E = expm((A - B k') dt).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class ModelLoop(NamedTuple):
+    """Constants of the model loop for one sampling time."""
+
+    k: Array  # (n,)
+    E: Array  # (n, n), transition matrix over dt
+    dt: float  # s
+    hermite: Array  # (n+1, n+1), see `hermite_matrix`
+
+
+@njit
+def apply(M: Array, v: Array, out: Array) -> None:
+    """out = M v, in a fixed order of summation."""
+    for i in range(out.size):
+        total = 0.0
+        for j in range(v.size):
+            total += M[i, j] * v[j]
+        out[i] = total
+
+
+@njit
+def inner(a: Array, b: Array) -> float:
+    """a' b, in a fixed order of summation."""
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total
+
+
+def hermite_matrix(n: int) -> Array:
+    """Inverse of M[i, m] = (n+1+m)! / (n+1+m-i)!: coefficients of s^(n+1+m), s in [0, 1], from the mismatch at s = 1."""
+    M = [[math.perm(n + 1 + m, i) for m in range(n + 1)] for i in range(n + 1)]
+    return np.linalg.inv(np.array(M, dtype=float))
+
+
+@njit
+def interpolate(before: Array, coefficients: Array, s: float, dt: float, out: Array) -> None:
+    """Reference and its n derivatives at the fraction s of the interval, from both ends' derivatives; out (n+1,).
+
+    The polynomial of degree 2 n + 1 that has the given derivatives at both ends (Hermite): the Taylor polynomial at the left
+    end plus sum_m coefficients[m] s^(n+1+m).
+    """
+    n = out.size - 1
+    for i in range(n + 1):
+        total, factor = 0.0, 1.0
+        for j in range(i, n + 1):
+            total += before[j] * factor
+            factor *= s * dt / (j - i + 1)
+        for m in range(n + 1):
+            degree = n + 1 + m
+            term = coefficients[m]
+            for r in range(i):
+                term *= (degree - r) / dt
+            total += term * s ** (degree - i)
+        out[i] = total
+
+
+@njit
+def hermite_coefficients(before: Array, after: Array, hermite: Array, dt: float, out: Array) -> None:
+    """Coefficients of `interpolate` for derivatives `before` at s = 0 and `after` at s = 1; out (n+1,)."""
+    n = before.size - 1
+    mismatch = np.empty(n + 1)
+    for i in range(n + 1):
+        taylor, factor = 0.0, 1.0
+        for j in range(i, n + 1):
+            taylor += before[j] * factor
+            factor *= dt / (j - i + 1)
+        mismatch[i] = (after[i] - taylor) * dt**i
+    apply(hermite, mismatch, out)

@@ -1,0 +1,198 @@
+"""The redesign family: model-following control with Lyapunov redesign on output derivatives, and what [1] compares it with.
+
+[1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output time-derivatives
+    to compensate unmatched uncertainties.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from baselines import lyapunov, redesign_kernel
+from baselines.controller import Controller
+from baselines.gains import GAINS
+from baselines.model_loop import hermite_matrix
+from baselines.switching import SWITCHINGS
+from mfc_gym import observation as layout
+from mfc_gym.nominal import NominalModel
+
+Array = NDArray[np.float64]
+STARTS = {"reference": redesign_kernel.REFERENCE, "process": redesign_kernel.PROCESS}
+
+
+@dataclass(frozen=True)
+class LyapunovRedesign(Controller):
+    """Control law u, eq. (18) of [1], composed of a model loop, a gain rule and a switching law."""
+
+    name: str
+    nominal: NominalModel
+    k: Array  # (n,), model loop
+    k_tilde: Array  # (n,), process loop
+    P: Array  # (n, n), V = e' P e
+    gain: str
+    switching: str
+    model: str = "brunovsky"  # or "nonlinear", "reference"
+    feedback: str = "output derivatives"  # or "state": xi in place of xi_n
+    initial_model_state: str | tuple[float, ...] = "process"  # xi*(0), or where to start: "process", "reference"
+    margin: float = 1.0  # factor on the gain rule
+    width: float = 0.1  # of the boundary layer, unit of w / 2
+    delta_1: float | None = None  # constant bounds in place of the plant's
+    delta_3: float | None = None
+
+    @property
+    def reads(self) -> tuple[str, ...]:  # type: ignore[override]
+        measured = ("state",) if self.feedback == "state" else ("state", "output derivatives")
+        return (*measured, "nominal model", "bounds")
+
+    @property
+    def memory_size(self) -> int:
+        return redesign_kernel.memory_size(self.nominal.order, self.model)
+
+    @cached_property
+    def kernel(self) -> ModuleType:
+        return redesign_kernel.load(self.nominal, self.model, self.feedback, self.gain, self.switching)
+
+    @cached_property
+    def law(self) -> redesign_kernel.Law:
+        n, dt = self.nominal.order, self.nominal.dt
+        A, B = lyapunov.brunovsky(n)
+        held = expm(np.block([[A, B[:, None]], [np.zeros((1, n + 1))]]) * dt)
+        given = not isinstance(self.initial_model_state, str)
+        return redesign_kernel.Law(
+            k=self.k,
+            k_tilde=self.k_tilde,
+            c=np.ascontiguousarray(lyapunov.surface(self.P)),
+            E=expm(lyapunov.closed_loop(self.k) * dt),
+            Phi=np.ascontiguousarray(held[:n, :n]),
+            Psi=np.ascontiguousarray(held[:n, n]),
+            hermite=hermite_matrix(n),
+            start=np.array(self.initial_model_state if given else np.zeros(n), dtype=float),
+            begin=redesign_kernel.GIVEN if given else STARTS[str(self.initial_model_state)],
+            margin=float(self.margin),
+            width=float(self.width),
+            delta_1=-1.0 if self.delta_1 is None else float(self.delta_1),
+            delta_3=-1.0 if self.delta_3 is None else float(self.delta_3),
+            dt=dt,
+            input_limit=self.nominal.input_limit,
+        )
+
+    def control(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> Array:
+        if self.model == "nonlinear" and fresh.any():
+            self._start_nonlinear(observations, memory, fresh)
+        u: Array = self.kernel.control_all(observations, memory, fresh, self.law)
+        return u
+
+    def measured(self, observation: Array) -> Array:
+        """z: xi_n, or xi = tau(x) for the law that knows matched uncertainty only; shape (..., n)."""
+        if self.feedback == "state":
+            return self.nominal.tau(layout.state(observation))
+        return layout.output_derivatives(observation)
+
+    def initial_model_error(self, observation: Array) -> Array:
+        """e_star(0) = xi*(0) - xi_d(0) for the first observation of an episode, shape (n,)."""
+        xi_d = layout.reference(observation)[:-1]
+        if self.model == "reference" or self.initial_model_state == "reference":
+            return np.zeros_like(xi_d)
+        start = self.measured(observation) if self.initial_model_state == "process" else self.law.start
+        return start - xi_d
+
+    def _start_nonlinear(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> None:
+        n = self.nominal.order
+        for i in np.flatnonzero(fresh):
+            xi_star = self.initial_model_error(observations[i]) + layout.reference(observations[i])[:-1]
+            memory[i, :n] = self.nominal.tau_inverse(xi_star, guess=layout.state(observations[i]))
+
+
+def redesign(
+    name: str,
+    nominal: NominalModel,
+    *,
+    model_poles: Sequence[complex] | None = None,
+    poles: Sequence[complex] | None = None,
+    k: Sequence[float] | None = None,
+    k_tilde: Sequence[float] | None = None,
+    design: str = "paper",
+    P: Any = None,
+    gain: str = "paper",
+    switching: str = "sign",
+    model: str = "brunovsky",
+    feedback: str = "output derivatives",
+    initial_model_state: str | Sequence[float] = "process",
+    margin: float | None = None,
+    width: float = 0.1,
+    delta_1: float | None = None,
+    delta_3: float | None = None,
+) -> LyapunovRedesign:
+    """A member of the family. Gains come as `k`, `k_tilde` or as poles (the paper's: -1 and -4, n-fold).
+
+    `design`: "paper" (P from Q = I) or "surface" (all sliding poles at the process poles); or P itself.
+    Raises ValueError for options that cannot work or contradict each other.
+    """
+    n = nominal.order
+    k_gains = _gains("k", k, "model_poles", model_poles, 1.0, n)
+    k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, 4.0, n)
+    _one_of("gain", gain, GAINS)
+    _one_of("switching", switching, SWITCHINGS)
+    if P is None:
+        P = _design(design, k_tilde_gains)
+    else:
+        P = lyapunov.positive_definite("P", P, n)
+    lyapunov.positive_definite("dissipation of P", lyapunov.dissipation(P, k_tilde_gains), n)
+    if delta_1 is not None and not (math.isfinite(delta_1) and delta_1 >= 0):
+        raise ValueError(f"`delta_1` must be finite and >= 0, got {delta_1}.")
+    if delta_3 is not None and not 0 <= delta_3 < 1:
+        raise ValueError(f"`delta_3` must lie in [0, 1), got {delta_3}.")
+    margin = GAINS[gain].margin if margin is None else margin
+    for option, value in (("margin", margin), ("width", width)):
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"`{option}` must be positive and finite, got {value}.")
+    return LyapunovRedesign(
+        name, nominal, k_gains, k_tilde_gains, P, gain, switching, model, feedback,
+        _start(initial_model_state, n), margin, width, delta_1, delta_3,
+    )  # fmt: skip
+
+
+def _design(design: str, k_tilde: Array) -> Array:
+    _one_of("design", design, ("paper", "surface"))
+    if design == "paper":
+        return lyapunov.from_Q(k_tilde)
+    poles = np.roots([1.0, *k_tilde[::-1]])
+    pole, n = -poles.real.mean(), len(k_tilde)
+    if not np.allclose(k_tilde, lyapunov.place([-pole] * n), rtol=1e-9):
+        raise ValueError(f"`design` = 'surface' needs {n} equal process poles, got poles {np.round(poles, 4)}.")
+    return lyapunov.equal_poles(pole, n)
+
+
+def _gains(
+    name: str, gains: Sequence[float] | None, poles_name: str, poles: Sequence[complex] | None, default: float, n: int
+) -> Array:
+    if gains is not None and poles is not None:
+        raise ValueError(f"`{name}` and `{poles_name}` must not be given together, got {gains} and {poles}.")
+    if gains is not None:
+        return lyapunov.hurwitz(name, gains, n)
+    placed = lyapunov.place([-default] * n if poles is None else poles)
+    if placed.shape != (n,):
+        raise ValueError(f"`{poles_name}` must be {n} poles, got {poles}.")
+    return placed
+
+
+def _start(given: str | Sequence[float], n: int) -> str | tuple[float, ...]:
+    if isinstance(given, str):
+        _one_of("initial_model_state", given, STARTS)
+        return given
+    start = np.asarray(given, dtype=float)
+    if start.shape != (n,) or not np.isfinite(start).all():
+        raise ValueError(f"`initial_model_state` must be {n} finite numbers, 'process' or 'reference', got {given!r}.")
+    return tuple(map(float, start))
+
+
+def _one_of(name: str, value: object, known: Any) -> None:
+    if value not in known:
+        raise ValueError(f"`{name}` must be one of {sorted(known)}, got {value!r}.")
