@@ -51,7 +51,7 @@ class Flow:
 
     @cached_property
     def _constants(self) -> tuple[Any, ...]:
-        return self.theta, self.reference_parameters, self.controller.k, self.controller.law
+        return self.theta, self.reference_parameters, self.controller.law
 
     def rhs(self, mode: int) -> Callable[[float, Array], Array]:
         evaluate, constants, size = self.kernel.evaluate_one, self._constants, 2 * self.n
@@ -103,7 +103,7 @@ class Flow:
     def initial_mode(self, q: Array) -> int:
         """The mode an episode starts in."""
         s = self.surface(0.0, q)
-        if abs(s) > 1e-14 * np.abs(self.controller.law.c).max() * (1.0 + np.abs(q).max()):
+        if abs(s) > 1e-14 * np.abs(self.controller.P[:, -1]).max() * (1.0 + np.abs(q).max()):
             return 1 if s > 0 else -1
         return self.mode_on_surface(0.0, q, 0)
 

@@ -1,26 +1,16 @@
-"""The model control loop: where xi* comes from. Each variant is a triple begin / error / advance on one row of memory.
+"""The model control loop in sampled time.
 
 e_star = xi* - xi_d. With the linear law v = -k' e_star, eq. (20) of [1], the loop obeys e_star' = (A - B k') e_star, eq. (21):
 its exact sampled solution is e_star(t + dt) = E e_star(t), E = expm((A - B k') dt).
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-
-class ModelLoop(NamedTuple):
-    """Constants of the model loop for one sampling time."""
-
-    k: Array  # (n,)
-    E: Array  # (n, n), transition matrix over dt
-    dt: float  # s
-    hermite: Array  # (n+1, n+1), see `hermite_matrix`
 
 
 @njit

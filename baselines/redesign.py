@@ -43,6 +43,7 @@ class LyapunovRedesign(Controller):
     initial_model_state: str | tuple[float, ...] = "process"  # xi*(0), or where to start: "process", "reference"
     margin: float = 1.0  # factor on the gain rule
     width: float = 0.1  # of the boundary layer, unit of w / 2
+    rate: float = 1.0  # of the disturbance estimate, in (0, 1]
     delta_1: float | None = None  # constant bounds in place of the plant's
     delta_3: float | None = None
 
@@ -60,27 +61,33 @@ class LyapunovRedesign(Controller):
         return redesign_kernel.load(self.nominal, self.model, self.feedback, self.gain, self.switching)
 
     @cached_property
-    def law(self) -> redesign_kernel.Law:
+    def law(self) -> Array:
+        """The constants of the compiled law, see `redesign_kernel.Layout`."""
         n, dt = self.nominal.order, self.nominal.dt
         A, B = lyapunov.brunovsky(n)
         held = expm(np.block([[A, B[:, None]], [np.zeros((1, n + 1))]]) * dt)
+        Phi, Psi, E, c = held[:n, :n], held[:n, n], expm(lyapunov.closed_loop(self.k) * dt), lyapunov.surface(self.P)
         given = not isinstance(self.initial_model_state, str)
-        return redesign_kernel.Law(
-            k=self.k,
-            k_tilde=self.k_tilde,
-            c=np.ascontiguousarray(lyapunov.surface(self.P)),
-            E=expm(lyapunov.closed_loop(self.k) * dt),
-            Phi=np.ascontiguousarray(held[:n, :n]),
-            Psi=np.ascontiguousarray(held[:n, n]),
-            hermite=hermite_matrix(n),
-            start=np.array(self.initial_model_state if given else np.zeros(n), dtype=float),
-            begin=redesign_kernel.GIVEN if given else STARTS[str(self.initial_model_state)],
-            margin=float(self.margin),
-            width=float(self.width),
-            delta_1=-1.0 if self.delta_1 is None else float(self.delta_1),
-            delta_3=-1.0 if self.delta_3 is None else float(self.delta_3),
-            dt=dt,
-            input_limit=self.nominal.input_limit,
+        return redesign_kernel.Layout(n).pack(
+            {
+                "k": self.k,
+                "k_tilde": self.k_tilde,
+                "c": c,
+                "cE": c @ E,
+                "cPhi": c @ Phi,
+                "start": np.array(self.initial_model_state if given else np.zeros(n), dtype=float),
+                "E": E,
+                "hermite": hermite_matrix(n),
+                "b": c @ Psi,
+                "begin": redesign_kernel.GIVEN if given else STARTS[str(self.initial_model_state)],
+                "margin": self.margin,
+                "width": self.width,
+                "delta_1": -1.0 if self.delta_1 is None else self.delta_1,
+                "delta_3": -1.0 if self.delta_3 is None else self.delta_3,
+                "input_limit": self.nominal.input_limit,
+                "dt": dt,
+                "rate": self.rate,
+            }
         )
 
     def control(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> Array:
@@ -100,7 +107,7 @@ class LyapunovRedesign(Controller):
         xi_d = layout.reference(observation)[:-1]
         if self.model == "reference" or self.initial_model_state == "reference":
             return np.zeros_like(xi_d)
-        start = self.measured(observation) if self.initial_model_state == "process" else self.law.start
+        start = self.measured(observation) if self.initial_model_state == "process" else np.array(self.initial_model_state)
         return start - xi_d
 
     def _start_nonlinear(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> None:
@@ -127,6 +134,7 @@ def redesign(
     initial_model_state: str | Sequence[float] = "process",
     margin: float | None = None,
     width: float = 0.1,
+    rate: float = 1.0,
     delta_1: float | None = None,
     delta_3: float | None = None,
 ) -> LyapunovRedesign:
@@ -150,12 +158,12 @@ def redesign(
     if delta_3 is not None and not 0 <= delta_3 < 1:
         raise ValueError(f"`delta_3` must lie in [0, 1), got {delta_3}.")
     margin = GAINS[gain].margin if margin is None else margin
-    for option, value in (("margin", margin), ("width", width)):
+    for option, value in (("margin", margin), ("width", width), ("rate", rate)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"`{option}` must be positive and finite, got {value}.")
     return LyapunovRedesign(
         name, nominal, k_gains, k_tilde_gains, P, gain, switching, model, feedback,
-        _start(initial_model_state, n), margin, width, delta_1, delta_3,
+        _start(initial_model_state, n), margin, width, rate, delta_1, delta_3,
     )  # fmt: skip
 
 

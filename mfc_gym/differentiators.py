@@ -37,10 +37,11 @@ Kernel = Callable[[Array, float, float, float, Array, Array], None]
 
 N_MAX = 13  # LAMBDA is published up to order m = 12
 LARGE = 1e100  # its powers and products below stay far from overflow
-NEWTON_STEPS = 60  # a guard: measured are at most 13
+NEWTON_STEPS = 20  # a guard: at most 8 were measured
+NEWTON_TOLERANCE = 1e-8  # of the last step; quadratic convergence leaves the rounding error
 
-# Gains of the recursive form: lambda_j [2], mu_j of the linear terms [3]. mu_6 ... mu_12 are ours: about 2.2 mu_(j-2), so
-# that the linear part alone stays Hurwitz for every order.
+# Gains of the recursive form: lambda_j [2], mu_j of the linear terms [3]. mu_6 ... mu_12 are ours: 2.2 mu_(j-2) or more
+# keeps the linear part alone Hurwitz for every order.
 LAMBDA = np.array([1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0, 14.0, 17.0, 20.0, 26.0, 32.0])
 MU = np.array([2.0, 3.0, 4.0, 7.0, 9.0, 13.0, 25.0, 32.0, 55.0, 70.0, 121.0, 154.0, 266.0])
 
@@ -56,8 +57,8 @@ def homogeneous_gains(m: int) -> Array:
 def stirling_map(n: int) -> Array:
     """C_ij = i!/j! [j+1, i+1], j >= i, shape (n, n), with unsigned Stirling numbers of the first kind.
 
-    From backward differences to derivatives: dt^i y^(i) = (-ln(1-nabla))^i y. The output map of [5] has the coefficients
-    c_ij of x^j in (-ln(1-x))^i, C_ij = c_ii + ... + c_ij has those of (-ln(1-x))^i / (1-x); c_ij = i/j C_(i-1)(j-1).
+    From backward differences to derivatives: dt^i y^(i) = (-ln(1-nabla))^i y. The output map of [5] consists of the
+    coefficients c_ij = i/j C_(i-1)(j-1) of x^j in (-ln(1-x))^i, and C_ij = c_ii + ... + c_ij.
     """
     C = np.zeros((n, n))
     C[0] = 1
@@ -115,31 +116,22 @@ def correct(memory: Array, C: Array, dt: float, estimate: Array) -> None:
 
 
 @njit(cache=True)
-def root_bound(R: float, a: float, n: int) -> float:
-    """An upper bound of the roots below: of p^n <= R and lt_1 a^m p <= R the sharper one."""
-    p = R ** (1 / n)
-    lt_1 = GAINS[n - 1, 1] * a ** (n - 1)
-    return R / lt_1 if lt_1 * p > R else p
-
-
-@njit(cache=True)
 def homogeneous_root(R: float, a: float, n: int) -> float:
-    """p > 0 with p^n + sum_(j=1..m) lt_j a^(n-j) p^j = R > 0.
+    """p > 0 with F(p) = p^n + sum_(j=1..m) lt_j a^(n-j) p^j = R > 0.
 
-    The left side is convex and increasing: Newton from an upper bound falls monotonically onto the root.
+    F is a posynomial: convex in log-log scale, of slope 1 ... n. There Newton falls monotonically onto the root.
     """
     m = n - 1
-    p = root_bound(R, a, n)
+    p = R ** (1 / n)
     for _ in range(NEWTON_STEPS):
         F, dF = 1.0, 0.0
         for j in range(m, 0, -1):
             dF = F + p * dF
             F = GAINS[m, j] * a ** (n - j) + p * F
         dF = F + p * dF
-        q = p - (p * F - R) / dF
-        if not q < p:
+        last, p = p, p * (R / (p * F)) ** (F / dF)
+        if p > last * (1 - NEWTON_TOLERANCE):
             break
-        p = q
     return p
 
 
@@ -148,10 +140,10 @@ def ired(memory: Array, measurement: float, bound: float, dt: float, settings: A
     """Implicit robust exact differentiator of order m = n - 1 [5]; no settings.
 
     Backward Euler of z_i' = z_(i+1) - lt_(m-i) L^((i+1)/n) |z_0-y|^((m-i)/n) sgn(z_0-y), in the Taylor coordinates of
-    its output map: g_j = lt_(m-j) a^(j+1) p^(m-j) sgn b, a = L^(1/n) dt, and p^n = |b - g_0 - ... - g_m| is what is left
+    its output map: g_j = lt_(m-j) a^(j+1) p^(m-j) sgn b, a = L^(1/n) dt, and p^n = |b - g_0 - ... - g_m|, what is left
     of b. In the sliding mode, |b| <= lt_0 a^n, only g_m = b: nothing is left (y_0 = y_k), all poles are at 0, and the
-    noise-free errors are c_in dt^(n-i) sup|y^(n)| to leading order, c of `stirling_map` (n = 2: dt/2; n = 3: dt^2/3, dt).
-    Rounding acts like noise of size eps |y|: it ends the sliding mode where 2^n eps |y| exceeds lt_0 L dt^n.
+    noise-free errors are c_in dt^(n-i) sup|y^(n)| to leading order, c of `stirling_map` (n = 3: dt^2/3 and dt).
+    Rounding acts like noise of size eps |y|: it ends the sliding mode once 2^n eps |y| exceeds (lt_0 - 1) L dt^n.
     """
     n = memory.size
     m = n - 1
@@ -188,14 +180,13 @@ def hdd(memory: Array, measurement: float, bound: float, dt: float, settings: Ar
 
 @njit(cache=True)
 def mixed_root(R: float, A: float, kappa: float, n: int) -> float:
-    """p > 0 with p^n + g_0 + ... + g_m - lambda_0 A = R > 0, g of `ired_linear`.
+    """p > 0 with F(p) = p^n + g_0 + ... + g_m - lambda_0 A = R > 0, g of `ired_linear`.
 
-    With g_j = p^(m-j) r each r is a posynomial of powers of the one before. So the left side is convex in log-log scale,
-    of slope >= 1, hence convex and increasing in p: Newton as in `homogeneous_root`.
+    With g_j = p^(m-j) r, each r is a sum of products of powers of the one before: Newton as in `homogeneous_root`.
     """
-    p = root_bound(R, A ** (1 / n), n)
+    p = R ** (1 / n)
     for _ in range(NEWTON_STEPS):
-        F, dF, r, dr = p**n - R, n * p ** (n - 1), 1.0, 0.0
+        F, dF, r, dr = p**n, n * p ** (n - 1), 1.0, 0.0
         for k in range(n, 1, -1):
             h, c = LAMBDA[k - 1] * A ** (1 / k) * r ** (1 - 1 / k), kappa * MU[k - 1]
             dr = ((1 - 1 / k) * h / r + c * p) * dr + c * r
@@ -204,10 +195,9 @@ def mixed_root(R: float, A: float, kappa: float, n: int) -> float:
             dF += (k - 1) * p ** (k - 2) * r + p ** (k - 1) * dr
         F += kappa * MU[0] * p * r
         dF += kappa * MU[0] * (r + p * dr)
-        q = p - F / dF
-        if not q < p:
+        last, p = p, p * (R / F) ** (F / (p * dF))
+        if p > last * (1 - NEWTON_TOLERANCE):
             break
-        p = q
     return p
 
 
@@ -217,8 +207,8 @@ def ired_linear(memory: Array, measurement: float, bound: float, dt: float, sett
 
     z_i' = z_(i+1) - s_(i+1), s_(i+1) = lambda_(k-1) L^(1/k) |s_i|^(1-1/k) sgn s_i + rate mu_(k-1) s_i, k = n - i, from
     s_0 = z_0 - y. Far from the signal the linear terms rule and errors fall exponentially; in the sliding mode s_0 = 0,
-    they vanish, and the estimate is that of `ired`. Backward Euler keeps the linear part stable for every dt, whereas
-    Taylor prediction with explicit terms needs rate dt < 1.0, 0.50, 0.16, 0.051, 0.080, 0.028, 0.051, 0.027, n = 1 ... 8.
+    they vanish, and the estimate is that of `ired`. Backward Euler keeps the linear part stable for every dt; explicit
+    terms as in `hdd` would need rate dt < 1.0, 0.50, 0.16, 0.051, 0.080, 0.028, 0.051, 0.027 for n = 1 ... 8.
     """
     n = memory.size
     b = predict(memory, measurement, dt)
@@ -243,8 +233,8 @@ def high_gain(memory: Array, measurement: float, bound: float, dt: float, settin
     """High-gain observer with binomial gains, settings = [bandwidth omega_o = 1/epsilon, rad/s].
 
     All n discrete poles at zeta = exp(-omega_o dt) by g_j = binom(n, j+1) (1-zeta)^(j+1) zeta^(m-j) b, since the
-    innovation obeys (1-x)^n y = (1-zeta x)^n b, x the delay, and 1 - zeta x = zeta (1-x) + (1-zeta). Settled, it is exact
-    for polynomials of degree m. As dt -> 0: y_i' = y_(i+1) + binom(n, i+1) omega_o^(i+1) (y - y_0).
+    innovation obeys (1-x)^n y = (1-zeta x)^n b, x the delay, and 1 - zeta x = zeta (1-x) + (1-zeta). Once settled it is
+    exact for polynomials of degree m. As dt -> 0: y_i' = y_(i+1) + binom(n, i+1) omega_o^(i+1) (y - y_0).
     """
     n = memory.size
     b = predict(memory, measurement, dt)

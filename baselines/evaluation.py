@@ -1,0 +1,184 @@
+"""Policies compared on the same episodes: policy specifications, paired seeds, metrics, results on disk."""
+
+import csv
+import json
+import math
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from baselines import registry
+from baselines.exact_metrics import total_variation
+from baselines.filippov import filippov
+from baselines.metrics import METRICS, evaluate
+from baselines.redesign import LyapunovRedesign
+from baselines.rollout import rollout
+from baselines.trajectory import Trajectory
+
+EXTRA = {"variation_ratio": "1", "step_time": "us"}  # metrics that need more than the trajectory
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One policy of a comparison."""
+
+    label: str
+    policy: Any  # anything with Stable-Baselines3's `predict`
+    reads: tuple[str, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one policy did: metrics per episode, and the first episode itself."""
+
+    entry: Entry
+    episodes: list[dict[str, float]]
+    first: Trajectory
+
+
+def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
+    """The policy named `controller` or `controller:option=value,...`, made for `env`.
+
+    Raises ValueError with the known names, or for options the controller does not take.
+    """
+    name, _, rest = specification.partition(":")
+    options: dict[str, Any] = {}
+    for item in filter(None, _split(rest)):
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise ValueError(f"`controllers` must be name or name:option=value,..., got {specification!r}.")
+        options[key] = _value(value)
+    controller = registry.make(name, env, **options)
+    return Entry(specification, controller, controller.reads, options)
+
+
+def _split(text: str) -> list[str]:
+    """Split at commas outside parentheses."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+def _value(text: str) -> Any:
+    """A number, a tuple of numbers "(1, 2)", or the text itself."""
+    if text.startswith("(") and text.endswith(")"):
+        return tuple(float(part) for part in text[1:-1].split(",") if part.strip())
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+class Stopwatch:
+    """A policy with the time of its `predict` measured."""
+
+    def __init__(self, policy: Any) -> None:
+        self.policy, self.seconds, self.calls = policy, 0.0, 0
+
+    def predict(self, *arguments: Any, **keywords: Any) -> Any:
+        begin = time.perf_counter()
+        result = self.policy.predict(*arguments, **keywords)
+        self.seconds += time.perf_counter() - begin
+        self.calls += 1
+        return result
+
+
+def run(
+    one: Entry, env: gym.Env[Any, Any], seeds: Sequence[int], exact: int = 0, progress: Callable[[], None] = lambda: None
+) -> Result:
+    """The episodes of these seeds; for the first `exact` of them also the control variation over the exact solution's."""
+    simulation: Any = env.unwrapped.simulation  # type: ignore[attr-defined]
+    episodes: list[dict[str, float]] = []
+    first = None
+    for i, seed in enumerate(seeds):
+        watch = Stopwatch(one.policy)
+        trajectory = rollout(env, watch, seed=seed)
+        first = first or trajectory
+        metrics = evaluate(trajectory, simulation.input_limit, simulation.horizon)
+        metrics["step_time"] = 1e6 * watch.seconds / watch.calls
+        if i < exact and isinstance(one.policy, LyapunovRedesign) and not trajectory.terminated:
+            solution = filippov(env, one.policy, seed=seed)
+            if not solution.terminated:
+                metrics["variation_ratio"] = metrics["total_variation"] / total_variation(solution)
+        episodes.append(metrics)
+        progress()
+    assert first is not None
+    return Result(one, episodes, first)
+
+
+def column(result: Result, metric: str) -> np.ndarray:
+    """One metric over the episodes that have it."""
+    return np.array([episode[metric] for episode in result.episodes if metric in episode])
+
+
+def as_data(results: Iterable[Result]) -> list[dict[str, Any]]:
+    """Results as plain JSON data; what is not finite becomes null."""
+    return [
+        {
+            "controller": result.entry.label,
+            "reads": list(result.entry.reads),
+            "options": {k: list(v) if isinstance(v, tuple) else v for k, v in result.entry.options.items()},
+            "episodes": [{k: v if math.isfinite(v) else None for k, v in e.items()} for e in result.episodes],
+        }
+        for result in results
+    ]
+
+
+def units() -> dict[str, str]:
+    """Unit of every metric."""
+    return {name: metric.unit for name, metric in METRICS.items()} | EXTRA
+
+
+def writable(folder: Path) -> Path:
+    """The folder, made if need be. Raises ValueError if nothing can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ValueError(f"`out` must be a folder that can be written, got {folder} ({error.strerror}).") from error
+    return folder
+
+
+def replace(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file whole or not at all: `write` fills a temporary one, which then takes the name."""
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
+    os.close(handle)
+    try:
+        write(Path(name))
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def write_json(path: Path, data: Any) -> None:
+    replace(path, lambda p: p.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n") and None)
+
+
+def write_csv(path: Path, results: Iterable[Result], seeds: Sequence[int]) -> None:
+    """One line per controller and episode."""
+
+    def write(target: Path) -> None:
+        with target.open("w", newline="") as file:
+            writer = csv.DictWriter(file, ["controller", "seed", *units()], restval="")
+            writer.writeheader()
+            for result in results:
+                for seed, episode in zip(seeds, result.episodes, strict=True):
+                    writer.writerow({"controller": result.entry.label, "seed": seed, **episode})
+
+    replace(path, write)

@@ -1,0 +1,90 @@
+"""Figures of trajectories and of the exact solution. Matplotlib is loaded here and nowhere near a simulation."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from baselines.evaluation import Result, replace
+from baselines.filippov import ExactSolution
+
+Array = NDArray[np.float64]
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write the figure whole or not at all."""
+    replace(path, lambda target: figure.savefig(target, dpi=150))
+
+
+def _axes(rows: int, height: float) -> tuple[Figure, NDArray[Any]]:
+    figure = Figure(figsize=(7.0, height), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True))
+    for ax in axes:
+        ax.grid(alpha=0.3)
+    axes[-1].set_xlabel("time in s")
+    return figure, axes
+
+
+def episode(results: Sequence[Result]) -> Figure:
+    """The first episode of each policy: output over the reference, error on a logarithmic scale, input."""
+    figure, (output, error, control) = _axes(3, 7.5)
+    reference = max((r.first for r in results), key=lambda t: t.time.size)
+    output.plot(reference.time, reference.reference[:, 0], "k--", label="$y_d$", linewidth=1)
+    for result in results:
+        t = result.first
+        output.plot(t.time, t.output_derivatives[:, 0], label=result.entry.label, linewidth=1)
+        error.semilogy(t.time, np.maximum(np.abs(t.error), 1e-12), linewidth=1)
+        control.step(t.time[:-1], t.control, where="post", linewidth=0.8)
+    output.set_ylabel("$y$")
+    output.legend(loc="upper right", fontsize="small")
+    error.set_ylabel("$|y - y_d|$")
+    control.set_ylabel("$u$")
+    return figure
+
+
+def paper(mfc: ExactSolution, matched_only: ExactSolution) -> Figure:
+    """The figure of [1], Section 6: tracking error, V, w and u, of the exact solutions.
+
+    Blue: the law on output derivatives; orange: the law for matched uncertainty, V and w of xi_n (solid) and xi (dash-dotted).
+    """
+    figure, (error, V, w, u) = _axes(4, 9.0)
+    for exact, colour, label in ((mfc, "C0", "output derivatives, eq. (28)"), (matched_only, "C1", "matched only, eq. (24)")):
+        jumps = np.concatenate([exact.switching_times, np.nextafter(exact.switching_times, 0.0)])
+        time = np.sort(np.concatenate([np.linspace(0.0, exact.end, 8001), jumps]))
+        signals, P = exact.signals(time), exact.flow.controller.P
+        error.plot(time, signals["error"], colour, label=label, linewidth=1.2)
+        u.plot(time, signals["u"], colour, linewidth=1.0)
+        lines = [("xi_n", "-")] + ([("xi", "-.")] if exact is matched_only else [])
+        for name, style in lines:
+            e = signals[name] - signals["xi_star"]
+            V.plot(time, np.einsum("ti,ij,tj->t", e, P, e), colour, linestyle=style, linewidth=1.0)
+            w.plot(time, 2.0 * e @ P[:, -1], colour, linestyle=style, linewidth=1.0)
+    error.set_ylabel(r"$y - y_d$")
+    error.legend(loc="upper right", fontsize="small")
+    V.set_ylabel(r"$\tilde V$")
+    w.set_ylabel(r"$\tilde w$")
+    w.set_ylim(-0.15, 0.15)
+    u.set_ylabel("$u$")
+    return figure
+
+
+def sampling(rows: Mapping[str, Sequence[tuple[float, float, float]]], exact_variation: float) -> Figure:
+    """Per switching law (dt, max error against the exact solution, variation of u per second in the tail) over dt."""
+    figure = Figure(figsize=(7.5, 3.6), layout="constrained")
+    accuracy, variation = figure.subplots(1, 2)
+    for i, (label, points) in enumerate(rows.items()):
+        dt, error, rate = (1e3 * np.array([p[0] for p in points]), [p[1] for p in points], [p[2] for p in points])
+        style = "-" if "paper" in label else "--"
+        accuracy.loglog(dt, error, f"C{i % 4}{style}o", label=label, markersize=3, linewidth=1)
+        variation.loglog(dt, rate, f"C{i % 4}{style}o", markersize=3, linewidth=1)
+    variation.axhline(exact_variation, color="k", linewidth=0.8, linestyle=":")
+    accuracy.set_ylabel("max $|y - y_{exact}|$")
+    variation.set_ylabel("variation of $u$ per second, tail")
+    for ax in (accuracy, variation):
+        ax.set_xlabel("sampling time in ms")
+        ax.grid(alpha=0.3, which="both")
+    accuracy.legend(fontsize="x-small")
+    return figure

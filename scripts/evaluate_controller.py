@@ -1,0 +1,141 @@
+"""Evaluate controllers on the same episodes: a table, results.json, results.csv and figures.
+
+    python scripts/evaluate_controller.py mfc single-loop matched-only
+    python scripts/evaluate_controller.py mfc mfc:switching=sign,design=paper --env mfc_gym/PerturbedChain-v0 \
+        --scenario random --episodes 100 --seed 0 --out results/random
+"""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium as gym
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.table import Table
+
+import baselines
+import mfc_gym  # noqa: F401 (registers the environments)
+from baselines import evaluation, figures, statistics
+from baselines.provenance import provenance
+
+COLUMNS = (
+    "rms", "transient_rms", "tail_rms", "tail_max", "iae", "ise", "itae", "settling_time", "energy",
+    "tail_total_variation_rate", "variation_ratio", "saturation_time", "peak", "step_time", "escaped", "return",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Evaluate controllers on the same episodes."""
+
+    controllers: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Names (see baselines.names()), each optionally with options: mfc:switching=sign,design=paper"""
+    env: str = "mfc_gym/PerturbedChain-v0"
+    """Environment id, or a plant file ending in .toml"""
+    scenario: str = "paper"
+    """The plant's own fixed episode ("paper"), or theta, initial state and reference drawn at random ("random")"""
+    reference: str | None = None
+    """Name of the reference; left out: the plant's own"""
+    dt: float | None = None
+    """Sampling time in s"""
+    horizon: float | None = None
+    """Length of an episode in s"""
+    input_limit: float | None = None
+    """Bound of the input"""
+    order: int | None = None
+    """Order of the plant, where it has this option"""
+    theta: tuple[float, ...] | None = None
+    """Uncertain parameters, fixed in both scenarios"""
+    initial_state: tuple[float, ...] | None = None
+    """Initial state, fixed in both scenarios"""
+    episodes: int | None = None
+    """Number of episodes; left out: 1 in the fixed scenario, 20 in the random one"""
+    seed: int = 0
+    """Seed of the first episode; episode i has seed + i, for every controller"""
+    exact: int = 3
+    """Number of episodes for which the exact solution is computed (for the ratio of the control's variation)"""
+    out: Path = field(default=Path("results/evaluation"))
+    """Folder for results and figures"""
+
+
+def environment(args: Arguments) -> gym.Env[Any, Any]:
+    """The environment the arguments describe."""
+    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order", "theta", "initial_state")
+    options = {name: value for name in names if (value := getattr(args, name)) is not None}
+    if args.env.endswith(".toml"):
+        return gym.make("mfc_gym/Plant-v0", system=args.env, **options)
+    return gym.make(args.env, **options)
+
+
+def table(results: list[evaluation.Result], title: str) -> Table:
+    """One row per metric, one column per controller; over many episodes the interquartile mean and its 95 % interval."""
+    drawn = Table(title=title, caption="e = y - y_d; the transient is the first half of the horizon, the tail the second")
+    drawn.add_column("metric")
+    drawn.add_column("unit")
+    for result in results:
+        drawn.add_column(result.entry.label, justify="right")
+    drawn.add_row("reads", "", *(", ".join(result.entry.reads) for result in results), end_section=True)
+    units = evaluation.units()
+    for metric in COLUMNS:
+        drawn.add_row(metric.replace("_", " "), units[metric], *(_cell(evaluation.column(r, metric), metric) for r in results))
+    return drawn
+
+
+def _cell(values: np.ndarray, metric: str) -> str:
+    if values.size == 0:
+        return "-"
+    if values.size == 1:
+        return f"{values[0]:.4g}"
+    statistic = statistics.mean if metric == "escaped" else statistics.iqm
+    estimate = statistics.bootstrap(statistic, values, reps=2000, seed=0)
+    return f"{estimate.value:.3g} [{estimate.low:.3g}, {estimate.high:.3g}]"
+
+
+def main(args: Arguments) -> None:
+    """Run the comparison. Raises ValueError for arguments that cannot work, before anything is computed or written."""
+    console = Console()
+    if not args.controllers:
+        raise ValueError(f"`controllers` must name at least one of {', '.join(baselines.names())}, got none.")
+    count = args.episodes if args.episodes is not None else (1 if args.scenario == "paper" else 20)
+    if count < 1:
+        raise ValueError(f"`episodes` must be at least 1, got {count}.")
+    if args.seed < 0:
+        raise ValueError(f"`seed` must be at least 0, got {args.seed}.")
+    out = evaluation.writable(args.out)
+    env = environment(args)
+    entries = [evaluation.entry(specification, env) for specification in args.controllers]
+    seeds = range(args.seed, args.seed + count)
+    results = []
+    with Progress(*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn(), console=console) as bar:
+        for one in entries:
+            task = bar.add_task(one.label, total=count)
+            results.append(evaluation.run(one, env, seeds, args.exact, lambda task=task: bar.advance(task)))
+    data = {
+        "environment": {"id": args.env, "options": {k: v for k, v in env.spec.kwargs.items() if v is not None}} if env.spec else {},
+        "seeds": list(seeds),
+        "units": evaluation.units(),
+        "provenance": provenance(),
+        "results": evaluation.as_data(results),
+    }
+    evaluation.write_json(out / "results.json", data)
+    evaluation.write_csv(out / "results.csv", results, seeds)
+    figures.save(figures.episode(results), out / "episode.png")
+    console.print(table(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}"))
+    console.print(f"Written: {out / 'results.json'}, {out / 'results.csv'}, {out / 'episode.png'}")
+
+
+def run() -> None:
+    """The command line."""
+    try:
+        main(tyro.cli(Arguments, description=__doc__))
+    except (ValueError, gym.error.Error) as error:
+        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    run()
