@@ -39,7 +39,8 @@ class Controller(ABC):
     ) -> tuple[Array, Array]:
         """(action, state), action = u / input_limit of shape (..., 1).
 
-        Raises ValueError for an observation that is not finite or does not fit the plant.
+        Raises ValueError for an observation that is not finite or does not fit the plant, and for a state that does not
+        fit the observation.
         """
         observation = np.asarray(observation, dtype=float)
         n = self.nominal.order
@@ -54,6 +55,9 @@ class Controller(ABC):
             fresh |= np.broadcast_to(np.asarray(episode_start, dtype=bool).reshape(-1), fresh.shape)
         memory = np.zeros((len(rows), self.memory_size))
         if state is not None:
-            memory[:] = np.atleast_2d(state)
+            given = np.atleast_2d(np.asarray(state, dtype=float))
+            if given.shape != memory.shape:
+                raise ValueError(f"`state` must be what `predict` returned, of shape {memory.shape}, got {given.shape}.")
+            memory[:] = given
         action = self.control(rows, memory, fresh)[:, None] / self.nominal.input_limit
         return (action[0], memory[0]) if observation.ndim == 1 else (action, memory)

@@ -190,6 +190,8 @@ def filippov(
     """
     if not isinstance(controller, LyapunovRedesign):
         raise TypeError(f"`controller` must be of the redesign family, got {type(controller).__name__}.")
+    if controller.nominal.kernel is not env.unwrapped.nominal.kernel:
+        raise ValueError(f"`controller` must be made for this environment's plant, got one for {controller.nominal.name!r}.")
     observation, _ = env.reset(seed=seed, options=options)
     plain, simulation = env.unwrapped, env.unwrapped.simulation
     kernel = closed_loop.load(simulation.plant, simulation.reference, controller)

@@ -21,11 +21,11 @@ def brunovsky(n: int) -> tuple[Array, Array]:
 def place(poles: Sequence[complex]) -> Array:
     """Gains k with eig(A - B k') = poles, shape (n,). Raises ValueError unless they are stable and closed under conjugation."""
     given = np.asarray(poles, dtype=complex)
-    if given.ndim != 1 or not np.isfinite(given).all() or not (given.real < 0).all():
-        raise ValueError(f"`poles` must be numbers with negative real part, got {list(poles)}.")
+    if given.ndim != 1 or not given.size or not np.isfinite(given).all() or not (given.real < 0).all():
+        raise ValueError(f"`poles` must be numbers with negative real part, got {poles!r}.")
     k = np.poly(given)[:0:-1]
     if np.abs(np.imag(k)).max() > 1e-9 * np.abs(k).max():
-        raise ValueError(f"`poles` must be closed under conjugation, got {list(poles)}.")
+        raise ValueError(f"`poles` must be closed under conjugation, got {poles!r}.")
     return np.real(k)
 
 
@@ -76,8 +76,8 @@ def positive_definite(name: str, P: Array, n: int) -> Array:
 
 def dissipation(P: Array, k: Array) -> Array:
     """W's matrix -((A - B k')' P + P (A - B k')), which must be positive definite; shape (n, n)."""
-    closed = closed_loop(k)
-    return -(closed.T @ P + P @ closed)
+    half = -closed_loop(k).T @ P
+    return half + half.T
 
 
 def surface(P: Array) -> Array:

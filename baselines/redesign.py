@@ -24,10 +24,12 @@ from mfc_gym import observation as layout
 from mfc_gym.nominal import NominalModel
 
 Array = NDArray[np.float64]
+MODELS = ("brunovsky", "nonlinear", "reference")
+FEEDBACKS = ("output derivatives", "state")
 STARTS = {"reference": redesign_kernel.REFERENCE, "process": redesign_kernel.PROCESS}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LyapunovRedesign(Controller):
     """Control law u, eq. (18) of [1], composed of a model loop, a gain rule and a switching law."""
 
@@ -91,8 +93,8 @@ class LyapunovRedesign(Controller):
         )
 
     def control(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> Array:
-        if self.model == "nonlinear" and fresh.any():
-            self._start_nonlinear(observations, memory, fresh)
+        if fresh.any():
+            memory[fresh] = self.first_memory(observations[fresh])
         u: Array = self.kernel.control_all(observations, memory, fresh, self.law)
         return u
 
@@ -103,18 +105,22 @@ class LyapunovRedesign(Controller):
         return layout.output_derivatives(observation)
 
     def initial_model_error(self, observation: Array) -> Array:
-        """e_star(0) = xi*(0) - xi_d(0) for the first observation of an episode, shape (n,)."""
-        xi_d = layout.reference(observation)[:-1]
+        """e_star(0) = xi*(0) - xi_d(0) for the first observation of an episode, shape (..., n)."""
+        xi_d = layout.reference(observation)[..., :-1]
         if self.model == "reference" or self.initial_model_state == "reference":
             return np.zeros_like(xi_d)
         start = self.measured(observation) if self.initial_model_state == "process" else np.array(self.initial_model_state)
         return start - xi_d
 
-    def _start_nonlinear(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> None:
-        n = self.nominal.order
-        for i in np.flatnonzero(fresh):
-            xi_star = self.initial_model_error(observations[i]) + layout.reference(observations[i])[:-1]
-            memory[i, :n] = self.nominal.tau_inverse(xi_star, guess=layout.state(observations[i]))
+    def first_memory(self, observations: Array) -> Array:
+        """Memory before the first control of episodes that begin with these observations, shape (N, m)."""
+        memory = np.zeros((len(observations), self.memory_size))
+        if self.model == "nonlinear":
+            n = self.nominal.order
+            xi_star = self.initial_model_error(observations) + layout.reference(observations)[..., :-1]
+            for i, observation in enumerate(observations):
+                memory[i, :n] = self.nominal.tau_inverse(xi_star[i], guess=layout.state(observation))
+        return memory
 
 
 def redesign(
@@ -148,6 +154,8 @@ def redesign(
     k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, 4.0, n)
     _one_of("gain", gain, GAINS)
     _one_of("switching", switching, SWITCHINGS)
+    _one_of("model", model, MODELS)
+    _one_of("feedback", feedback, FEEDBACKS)
     if P is None:
         P = _design(design, k_tilde_gains)
     else:
@@ -161,6 +169,8 @@ def redesign(
     for option, value in (("margin", margin), ("width", width), ("rate", rate)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"`{option}` must be positive and finite, got {value}.")
+    if rate > 1:
+        raise ValueError(f"`rate` must lie in (0, 1], got {rate}.")
     return LyapunovRedesign(
         name, nominal, k_gains, k_tilde_gains, P, gain, switching, model, feedback,
         _start(initial_model_state, n), margin, width, rate, delta_1, delta_3,

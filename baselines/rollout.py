@@ -1,46 +1,95 @@
 """One episode, or one batch of episodes, of a policy in an environment."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
 
+from baselines import rollout_kernel
+from baselines.redesign import LyapunovRedesign
 from baselines.trajectory import Trajectory
 from mfc_gym import observation as layout
 
 Array = NDArray[np.float64]
 
 
-def rollout(env: Any, policy: Any, seed: int | None = None, options: dict[str, Any] | None = None) -> Trajectory:
+def rollout(
+    env: Any, policy: Any, seed: int | None = None, options: dict[str, Any] | None = None, compiled: bool = True
+) -> Trajectory:
     """Run `policy` (anything with Stable-Baselines3's `predict`) for one episode of `env`.
 
-    A vector environment gives a batch, one more axis after time; what follows an episode's end is NaN there.
+    A vector environment gives a batch, one more axis after time; what follows an episode's end is NaN there. A controller of
+    the redesign family in an environment without further wrappers runs as one compiled loop, with the same numbers.
     """
-    batch = hasattr(env, "num_envs")
     observation, _ = env.reset(seed=seed, options=options)
+    batch = hasattr(env, "num_envs")
+    if compiled and isinstance(policy, LyapunovRedesign) and _plain(env):
+        observations, controls, rewards, terminated = _compiled(env.unwrapped, policy, np.atleast_2d(observation))
+    else:
+        observations, controls, rewards, terminated = _stepwise(env, policy, observation, batch)
+    return Trajectory(
+        time=env.unwrapped.dt * np.arange(len(observations)),
+        state=layout.state(observations if batch else observations[:, 0]),
+        output_derivatives=layout.output_derivatives(observations if batch else observations[:, 0]),
+        reference=layout.reference(observations if batch else observations[:, 0]),
+        control=controls if batch else controls[:, 0],
+        reward=rewards if batch else rewards[:, 0],
+        terminated=terminated if batch else bool(terminated[0]),
+    )
+
+
+def _plain(env: Any) -> bool:
+    """Whether nothing between the environment and the policy changes what they exchange."""
+    while isinstance(env, (OrderEnforcing, PassiveEnvChecker)):
+        env = env.env
+    return env is env.unwrapped and hasattr(env, "rows")
+
+
+def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    simulation, rows = env.simulation, env.rows
+    count, steps = len(first), simulation.steps
+    observations = np.full((count, steps + 1, first.shape[1]), np.nan)
+    observations[:, 0] = first
+    controls, rewards = np.full((count, steps), np.nan), np.full((count, steps), np.nan)
+    terminated = np.zeros(count, dtype=bool)
+    memory = controller.first_memory(first)
+    run = rollout_kernel.load(simulation.kernel, controller).run
+
+    def chunk(start: int, stop: int) -> None:
+        arrays = (memory, controller.law, observations, controls, rewards, terminated)
+        run(rows, simulation.settings, *arrays, start, stop)
+
+    threads = min(count, os.cpu_count() or 1)
+    edges = np.linspace(0, count, threads + 1).astype(int)
+    if threads == 1:
+        chunk(0, count)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(chunk, edges[:-1], edges[1:]))
+    longest = int((~np.isnan(rewards)).any(axis=0).sum())
+    cut = [np.moveaxis(a, 0, 1) for a in (observations[:, : longest + 1], controls[:, :longest], rewards[:, :longest])]
+    return cut[0], cut[1], cut[2], terminated
+
+
+def _stepwise(env: gym.Env[Any, Any], policy: Any, observation: Array, batch: bool) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     state: Any = None
-    start: Any = np.ones(observation.shape[0], dtype=bool) if batch else None
-    observations, controls, rewards = [observation], [], []
-    running = np.ones(observation.shape[:-1], dtype=bool)
+    start: Any = np.ones(len(observation), dtype=bool) if batch else None
+    running = np.ones(len(observation) if batch else 1, dtype=bool)
     terminated_at_all = np.zeros_like(running)
-    limit = env.unwrapped.nominal.input_limit
+    limit = env.unwrapped.nominal.input_limit  # type: ignore[attr-defined]
+    observations, controls, rewards = [np.atleast_2d(observation)], [], []
     while running.any():
         action, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
         observation, reward, terminated, truncated, _ = env.step(action)
         start = np.zeros_like(start) if batch else None
         applied = limit * np.clip(np.asarray(action, dtype=float)[..., 0], -1.0, 1.0)
-        observations.append(np.where(running[..., None], observation, np.nan))
+        observations.append(np.where(running[:, None], np.atleast_2d(observation), np.nan))
         controls.append(np.where(running, applied, np.nan))
         rewards.append(np.where(running, reward, np.nan))
         terminated_at_all |= running & terminated
         running = running & ~(np.asarray(terminated) | np.asarray(truncated))
-    history = np.array(observations)
-    return Trajectory(
-        time=env.unwrapped.dt * np.arange(len(history)),
-        state=layout.state(history),
-        output_derivatives=layout.output_derivatives(history),
-        reference=layout.reference(history),
-        control=np.array(controls),
-        reward=np.array(rewards),
-        terminated=terminated_at_all if batch else bool(terminated_at_all),
-    )
+    return np.array(observations), np.array(controls), np.array(rewards), terminated_at_all

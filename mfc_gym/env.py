@@ -69,6 +69,11 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         return self.simulation.dt
 
     @property
+    def rows(self) -> Array:
+        """The episode as a batch of one, see `mfc_gym.stepping`; shape (1, row)."""
+        return self._episode()[None]
+
+    @property
     def theta(self) -> Array:
         """The true uncertain parameters of this episode, shape (p,)."""
         return self.simulation.row_theta(self._episode()).copy()
