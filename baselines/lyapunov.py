@@ -64,6 +64,42 @@ def equal_poles(pole: float, n: int) -> Array:
     return T.T @ np.diag([pole ** (2.0 * (n - 1 - i)) for i in range(n)]) @ T
 
 
+def from_surface(k: Array, c: Array | None = None) -> Array:
+    """P with P B = c and (A - B k')' P + P (A - B k') < 0, for any Hurwitz k and any surface it admits; shape (n, n).
+
+    By the positive real lemma P exists iff c(s) / a(s) is strictly positive real, a(s) = det(sI - A + B k'). With the decay
+    eps: (A - B k' + eps I)' P + P (A - B k' + eps I) = -l l', where l(s - eps) is the stable spectral factor of
+    c(s - eps) a(-s - eps) + c(-s - eps) a(s - eps). Without `c` the surface is a'(s) / n, which distinct
+    poles always admit, since a'(s) / a(s) = sum 1 / (s + p_i) has positive real part (n equal poles: `equal_poles`).
+    Raises ValueError for a surface that the gains do not admit, or that shares a pole with them.
+    """
+    a = np.polynomial.Polynomial([*k, 1.0])
+    surface_polynomial = a.deriv() / len(k) if c is None else np.polynomial.Polynomial(c)
+    slowest = -np.max(a.roots().real)
+    for eps in slowest * np.array([0.5, 0.2, 0.05, 0.01, 0.001]):
+        shifted = [p(np.polynomial.Polynomial([-eps, 1.0])) for p in (surface_polynomial, a)]
+        mirrored = [p(np.polynomial.Polynomial([-eps, -1.0])) for p in (surface_polynomial, a)]
+        even = shifted[0] * mirrored[1] + mirrored[0] * shifted[1]
+        # m(s) m(-s) = even(s): a polynomial in s^2, positive on the imaginary axis if strictly positive real
+        squares = np.polynomial.Polynomial(even.coef[::2]).roots()
+        if even.coef[0] <= 0 or ((np.abs(squares.imag) < 1e-9 * np.abs(squares)) & (squares.real < 0)).any():
+            continue
+        roots = -np.sqrt(squares.astype(complex))
+        m = np.polynomial.Polynomial(np.real(np.polynomial.polynomial.polyfromroots(roots)))
+        m = m * np.sqrt(even.coef[0]) / m.coef[0]
+        l_factor = np.zeros(len(k))
+        coefficients = m(np.polynomial.Polynomial([eps, 1.0])).coef
+        l_factor[: len(coefficients)] = coefficients
+        P = solve_continuous_lyapunov((closed_loop(k) + eps * np.eye(len(k))).T, -np.outer(l_factor, l_factor))
+        P = (P + P.T) / 2
+        if np.allclose(surface(P), surface_polynomial.coef, rtol=1e-6) and np.linalg.eigvalsh(P)[0] > 1e-12 * np.abs(P).max():
+            return P
+    raise ValueError(
+        f"`sliding_poles` must make c(s) / a(s) strictly positive real and share none of the process poles {np.round(a.roots(), 4)}, "
+        f"got {np.round(surface_polynomial.roots(), 4)}."
+    )
+
+
 def positive_definite(name: str, P: Array, n: int) -> Array:
     """P checked: symmetric, positive definite, shape (n, n). Raises ValueError naming `name`."""
     P = np.asarray(P, dtype=float)

@@ -26,6 +26,8 @@ from mfc_gym.nominal import NominalModel
 Array = NDArray[np.float64]
 MODELS = ("brunovsky", "nonlinear", "reference")
 FEEDBACKS = ("output derivatives", "state")
+MODEL_POLE = {"paper": 1.0, "surface": 2.0}  # n-fold, of the model loop, by design; unit of the plant's bandwidth
+PROCESS_POLE = 4.0  # n-fold, of the process loop
 STARTS = {"reference": redesign_kernel.REFERENCE, "process": redesign_kernel.PROCESS}
 
 
@@ -45,7 +47,7 @@ class LyapunovRedesign(Controller):
     initial_model_state: str | tuple[float, ...] = "process"  # xi*(0), or where to start: "process", "reference"
     margin: float = 1.0  # factor on the gain rule
     width: float = 0.1  # of the boundary layer, unit of w / 2
-    rate: float = 1.0  # of the disturbance estimate, in (0, 1]
+    rate: float | None = None  # of the disturbance estimate, in (0, 1]; None: `switching.best_rate` of delta_3
     delta_1: float | None = None  # constant bounds in place of the plant's
     delta_3: float | None = None
 
@@ -88,7 +90,7 @@ class LyapunovRedesign(Controller):
                 "delta_3": -1.0 if self.delta_3 is None else self.delta_3,
                 "input_limit": self.nominal.input_limit,
                 "dt": dt,
-                "rate": self.rate,
+                "rate": -1.0 if self.rate is None else self.rate,
             }
         )
 
@@ -131,45 +133,52 @@ def redesign(
     poles: Sequence[complex] | None = None,
     k: Sequence[float] | None = None,
     k_tilde: Sequence[float] | None = None,
-    design: str = "paper",
+    design: str = "surface",
+    sliding_poles: Sequence[complex] | None = None,
     P: Any = None,
-    gain: str = "paper",
-    switching: str = "sign",
+    gain: str = "sharp",
+    switching: str = "implicit-observer",
     model: str = "brunovsky",
     feedback: str = "output derivatives",
     initial_model_state: str | Sequence[float] = "process",
     margin: float | None = None,
     width: float = 0.1,
-    rate: float = 1.0,
+    rate: float | None = None,
     delta_1: float | None = None,
     delta_3: float | None = None,
 ) -> LyapunovRedesign:
-    """A member of the family. Gains come as `k`, `k_tilde` or as poles (the paper's: -1 and -4, n-fold).
+    """A member of the family; without options the reference policy, chosen by measurement (docs/reference_policy.md).
 
-    `design`: "paper" (P from Q = I) or "surface" (all sliding poles at the process poles); or P itself.
-    Raises ValueError for options that cannot work or contradict each other.
+    Gains come as `k`, `k_tilde` or as poles. `design` is "paper" (P from Q = I, poles -1 and -4 by default) or "surface" (P with
+    chosen `sliding_poles`, by default next to the process poles; poles -2 and -4 by default); or P itself is given. Poles are
+    in units of the plant's bandwidth, 1/s. Raises ValueError for options that cannot work or contradict each other.
     """
     n = nominal.order
-    k_gains = _gains("k", k, "model_poles", model_poles, 1.0, n)
-    k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, 4.0, n)
+    _one_of("design", design, MODEL_POLE)
+    k_gains = _gains("k", k, "model_poles", model_poles, MODEL_POLE[design] * nominal.bandwidth, n)
+    k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, PROCESS_POLE * nominal.bandwidth, n)
     _one_of("gain", gain, GAINS)
     _one_of("switching", switching, SWITCHINGS)
     _one_of("model", model, MODELS)
     _one_of("feedback", feedback, FEEDBACKS)
-    if P is None:
-        P = _design(design, k_tilde_gains)
-    else:
+    if sliding_poles is not None and (design == "paper" or P is not None):
+        raise ValueError(f"`sliding_poles` must come with design = 'surface' and without P, got {sliding_poles}.")
+    if P is not None:
         P = lyapunov.positive_definite("P", P, n)
+    elif design == "paper":
+        P = lyapunov.from_Q(k_tilde_gains)
+    else:
+        P = _surface_design(k_tilde_gains, sliding_poles)
     lyapunov.positive_definite("dissipation of P", lyapunov.dissipation(P, k_tilde_gains), n)
     if delta_1 is not None and not (math.isfinite(delta_1) and delta_1 >= 0):
         raise ValueError(f"`delta_1` must be finite and >= 0, got {delta_1}.")
     if delta_3 is not None and not 0 <= delta_3 < 1:
         raise ValueError(f"`delta_3` must lie in [0, 1), got {delta_3}.")
     margin = GAINS[gain].margin if margin is None else margin
-    for option, value in (("margin", margin), ("width", width), ("rate", rate)):
+    for option, value in (("margin", margin), ("width", width)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"`{option}` must be positive and finite, got {value}.")
-    if rate > 1:
+    if rate is not None and not 0 < rate <= 1:
         raise ValueError(f"`rate` must lie in (0, 1], got {rate}.")
     return LyapunovRedesign(
         name, nominal, k_gains, k_tilde_gains, P, gain, switching, model, feedback,
@@ -177,15 +186,18 @@ def redesign(
     )  # fmt: skip
 
 
-def _design(design: str, k_tilde: Array) -> Array:
-    _one_of("design", design, ("paper", "surface"))
-    if design == "paper":
-        return lyapunov.from_Q(k_tilde)
-    poles = np.roots([1.0, *k_tilde[::-1]])
-    pole, n = -poles.real.mean(), len(k_tilde)
-    if not np.allclose(k_tilde, lyapunov.place([-pole] * n), rtol=1e-9):
-        raise ValueError(f"`design` = 'surface' needs {n} equal process poles, got poles {np.round(poles, 4)}.")
-    return lyapunov.equal_poles(pole, n)
+def _surface_design(k_tilde: Array, sliding_poles: Sequence[complex] | None) -> Array:
+    """P of the "surface" design: closed form for equal poles, else from the positive real lemma."""
+    n, poles = len(k_tilde), np.roots([1.0, *k_tilde[::-1]])
+    if sliding_poles is not None:
+        c = np.append(lyapunov.place(sliding_poles), 1.0)
+        if len(c) != n:
+            raise ValueError(f"`sliding_poles` must be {n - 1} poles, got {sliding_poles}.")
+        return lyapunov.from_surface(k_tilde, c)
+    pole = -poles.real.mean()
+    if np.allclose(k_tilde, lyapunov.place([-pole] * n), rtol=1e-9):
+        return lyapunov.equal_poles(pole, n)
+    return lyapunov.from_surface(k_tilde)
 
 
 def _gains(

@@ -60,7 +60,7 @@ from numba import njit
 
 from baselines.gains import {gain} as gain
 from baselines.model_loop import apply, hermite_coefficients, interpolate
-from baselines.switching import clip
+from baselines.switching import best_rate, clip
 from baselines.switching import {switching} as switching
 from {nominal} import bounds as nominal_bounds
 from {nominal} import coordinates, input_field, lie_terms, nominal_drift
@@ -134,7 +134,9 @@ def control(observation, memory, fresh, law):
     a = {c_phi_z_minus_yd} - ({c_E_e_star}) + b * (base - {yd_n})
     if not np.isnan(memory[PREDICTED]):
         seen = (s - memory[PREDICTED]) / b
-        memory[ESTIMATE] = clip(memory[ESTIMATE] + law[{rate}] * (seen - memory[ESTIMATE]), Gamma)
+        delta_3 = law[{delta_3}] if law[{delta_3}] >= 0.0 else nominal_bounds({x})[1]
+        rate = law[{rate}] if law[{rate}] >= 0.0 else best_rate(delta_3)
+        memory[ESTIMATE] = clip(memory[ESTIMATE] + rate * (seen - memory[ESTIMATE]), Gamma)
     v_L = switching(s, a, b, memory[ESTIMATE], Gamma, law[{width}])
     u = clip((base + v_L - alpha) / beta, law[{input_limit}])
     memory[PREDICTED] = a + b * (alpha + beta * u - base)

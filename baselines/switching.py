@@ -1,11 +1,20 @@
 """The discontinuous control v_L = -Gamma sgn(w) in sampled time: laws for the set-valued sign.
 
 All take (s, a, b, d, Gamma, width): s = w / 2 now; a the predicted next s with v_L = 0 and b > 0 its gain to v_L, so that
-s_next = a + b v_L in the nominal model; d the disturbance estimate in units of v_L; `width` of a boundary layer, unit of s.
+s_next = a + b v_L in the nominal model; d the disturbance estimate in units of v_L, abs(d) <= Gamma; `width` of a boundary
+layer, unit of s.
 
-With p = 1 + Delta_3 the true input gain over the nominal one, in linear analysis of s_next:
+With p = 1 + Delta_3, the true input gain over the nominal one, and sigma = s / b, the loop near the surface is
+
+    implicit:           sigma_next = (1 - p) sigma + D                      stable for p in (0, 2), contraction abs(1 - p)
+    implicit-observer:  sigma_next = (1 - p) sigma - p d + D,  d_next = d + rate sigma_next
+
+with D what the model does not know. The observer's characteristic polynomial is z^2 - (2 - p - rate p) z - (p - 1): stable for
+p in (0, 4 / (2 + rate)), and the disturbance is cancelled, sigma = O(dt) and s = O(dt^2) for a smooth one. Its product of
+poles is 1 - p: no rate contracts faster than sqrt(delta_3) for all abs(Delta_3) <= delta_3, and `best_rate` does just that.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,6 +27,15 @@ Law = Callable[[float, float, float, float, float, float], float]
 def clip(value: float, limit: float) -> float:
     """Projection to [-limit, limit]."""
     return min(max(value, -limit), limit)
+
+
+@njit
+def best_rate(delta_3: float) -> float:
+    """The rate that contracts fastest, by sqrt(delta_3) per step, for all abs(Delta_3) <= delta_3 < 1.
+
+    At p = 1 + delta_3 the poles are +-sqrt(delta_3), at p = 1 - delta_3 they are complex of that modulus.
+    """
+    return (1.0 - delta_3) / (1.0 + delta_3)
 
 
 @njit
@@ -47,20 +65,20 @@ def implicit(s: float, a: float, b: float, d: float, Gamma: float, width: float)
 
 @njit
 def implicit_observer(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
-    """`implicit` with the disturbance seen over the last interval added. Stable for p in (0, 4/3); misses by O(dt^2)."""
+    """`implicit` with the estimate of the disturbance added. Stable for p in (0, 4 / (2 + rate)); misses by O(dt^2)."""
     return -clip(a / b + d, Gamma)
 
 
 class SwitchingLaw(NamedTuple):
-    """A law and the interval of true over nominal input gains p it is stable for."""
+    """A law and the interval of true over nominal input gains p it is stable for, given the rate of its estimate."""
 
     law: Law
-    stable: tuple[float, float]
+    stable: Callable[[float], tuple[float, float]]
 
 
 SWITCHINGS = {
-    "sign": SwitchingLaw(sign, (0.0, float("inf"))),
-    "saturation": SwitchingLaw(saturation, (0.0, float("inf"))),
-    "implicit": SwitchingLaw(implicit, (0.0, 2.0)),
-    "implicit-observer": SwitchingLaw(implicit_observer, (0.0, 4.0 / 3.0)),
+    "sign": SwitchingLaw(sign, lambda rate: (0.0, math.inf)),
+    "saturation": SwitchingLaw(saturation, lambda rate: (0.0, math.inf)),
+    "implicit": SwitchingLaw(implicit, lambda rate: (0.0, 2.0)),
+    "implicit-observer": SwitchingLaw(implicit_observer, lambda rate: (0.0, 4.0 / (2.0 + rate))),
 }

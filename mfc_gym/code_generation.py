@@ -7,7 +7,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from mfc_gym.flat_system import BOUNDS, INPUT_LIMIT, FlatSystem
 
-HEADER = '''"""Generated from the equations of {name!r}. Do not edit."""
+HEADER = '''"""Generated from the equations of a plant. Do not edit."""
 
 import math
 
@@ -16,6 +16,10 @@ from numba import njit
 
 from mfc_gym.task import Task
 '''
+SCALAR = '@njit(error_model="numpy")'  # a division by zero gives inf, as any overflow does
+INLINED = (
+    '@njit(error_model="numpy", forceinline=True)'  # the compiler works on many rows at once only where no call is left
+)
 
 
 class KernelPrinter(PythonCodePrinter):
@@ -48,7 +52,7 @@ def function(name: str, arguments: Sequence[str], expressions: Sequence[sp.Expr]
     shared, results = sp.cse(list(expressions), symbols=sp.numbered_symbols("_c"))
     lines = [f"    {symbol} = {printer.doprint(value)}" for symbol, value in shared]
     body = "\n".join([*lines, f"    return {_tuple(printer.doprint(r) for r in results)}"])
-    return f'\n\n@njit\ndef {name}({", ".join(arguments)}):\n    """{doc}"""\n{body}\n'
+    return f'\n\n{SCALAR}\ndef {name}({", ".join(arguments)}):\n    """{doc}"""\n{body}\n'
 
 
 def array_function(name: str, calls: Sequence[str], arguments: str, unpack: str, size: int, doc: str) -> str:
@@ -86,7 +90,7 @@ def plant_source(system: FlatSystem) -> str:
     low, high = (_tuple(printer.doprint(ends[i]) for ends in system.region.values()) for i in (0, 1))
     return "".join(
         [
-            HEADER.format(name=system.name),
+            HEADER,
             f"\nNAME = {system.name!r}\nSTATE = {tuple(system.state)!r}\nTHETA = {tuple(system.theta)!r}\n",
             f"THETA_LOW = {tuple(float(low) for low, _ in system.theta.values())!r}\n",
             f"THETA_HIGH = {tuple(float(high) for _, high in system.theta.values())!r}\n",
@@ -118,15 +122,22 @@ def plant_source(system: FlatSystem) -> str:
             f"    {', '.join(f'out[{i}]' for i in range(n))}, inside = "
             f"integrate({', '.join(arguments)}, u, h, substeps, low, high)\n"
             f"    out[{n}] = 1.0 if inside else 0.0\n    return out\n",
-            array_function("uncertainty_at", [f"uncertainty{call}"], "x, theta", unpack, 3, "(Delta_1, Delta_3, phi_m)."),
+            array_function(
+                "uncertainty_at", [f"uncertainty{call}"], "x, theta", unpack, 3, "(Delta_1, Delta_3, phi_m)."
+            ),
             array_function("output_derivatives_at", [f"output_derivatives{call}"], "x, theta", unpack, n, "tau_n(x)."),
             array_function(
                 "flow_at",
                 [
                     f"{part}{call}"
                     for part in (
-                        "drift", "input_field", "output_derivatives", "coordinates",
-                        "coordinate_drift", "coordinate_input", "output_rate",
+                        "drift",
+                        "input_field",
+                        "output_derivatives",
+                        "coordinates",
+                        "coordinate_drift",
+                        "coordinate_input",
+                        "output_rate",
                     )
                 ],
                 "x, theta",
@@ -139,36 +150,45 @@ def plant_source(system: FlatSystem) -> str:
 
 
 def _integrator(x: list[str], theta: list[str]) -> str:
-    """Source of RK4 under a held input, stages unrolled over the state; stops at the first substep outside the region."""
+    """Source of RK4 under a held input, stages unrolled over the state; stops at the first substep outside the region.
+
+    Where that substep ends outside twice the region, too, the state before it is returned: the caller's state stays bounded.
+    """
+    state, parameters, limits = ", ".join(x), "".join(f"{name}, " for name in theta), range(len(x))
 
     def stage(k: str, point: Sequence[str]) -> str:
-        return f"        {_tuple(k + s for s in x)} = field({', '.join([*point, *theta, 'u'])})"
+        return f"    {_tuple(k + s for s in x)} = field({', '.join([*point, *theta, 'u'])})"
 
     def shifted(k: str, factor: str) -> list[str]:
         return [f"{s} + {factor} * {k}{s}" for s in x]
 
-    new = [f"        n{s} = {s} + h / 6.0 * (a{s} + 2.0 * (b{s} + c{s}) + d{s})" for s in x]
-    inside = " and ".join(f"low[{i}] <= {s} <= high[{i}]" for i, s in enumerate(x))
-    finite = " and ".join(f"math.isfinite(n{s})" for s in x)
-    state = ", ".join(x)
-    lines = [
-        "\n\n@njit",
-        f"def integrate({', '.join([*x, *theta])}, u, h, substeps, low, high):",
-        '    """State after `substeps` RK4 steps of size h under constant u, and whether it stayed inside the region."""',
-        "    for _ in range(substeps):",
-        stage("a", x),
-        stage("b", shifted("a", "0.5 * h")),
-        stage("c", shifted("b", "0.5 * h")),
-        stage("d", shifted("c", "h")),
-        *new,
-        f"        if not ({finite}):",
-        f"            return {state}, False",
-        f"        {_tuple(x)} = {_tuple('n' + s for s in x)}",
-        f"        if not ({inside}):",
-        f"            return {state}, False",
-        f"    return {state}, True\n",
-    ]
-    return "\n".join(lines)
+    return "\n".join(
+        [
+            f"\n\n{INLINED}\ndef rk4({state}, {parameters}u, h):",
+            '    """State after one Runge-Kutta step of size h under constant u."""',
+            stage("a", x),
+            stage("b", shifted("a", "0.5 * h")),
+            stage("c", shifted("b", "0.5 * h")),
+            stage("d", shifted("c", "h")),
+            f"    return {_tuple(f'{s} + h / 6.0 * (a{s} + 2.0 * (b{s} + c{s}) + d{s})' for s in x)}",
+            f"\n\n{INLINED}\ndef is_inside({state}, low, high):",
+            '    """Whether the state lies in the region."""',
+            f"    return {' & '.join(f'(low[{i}] <= {x[i]}) & ({x[i]} <= high[{i}])' for i in limits)}",
+            f"\n\n{INLINED}\ndef is_near({state}, low, high):",
+            '    """Whether the state lies in twice the region."""',
+            f"    return {' & '.join(f'(abs({x[i]} - 0.5 * (low[{i}] + high[{i}])) < high[{i}] - low[{i}])' for i in limits)}",
+            f"\n\n{SCALAR}\ndef integrate({state}, {parameters}u, h, substeps, low, high):",
+            '    """State after `substeps` RK4 steps of size h under constant u, and whether it stayed inside the region."""',
+            "    for _ in range(substeps):",
+            f"        {_tuple('n' + s for s in x)} = rk4({state}, {parameters}u, h)",
+            f"        if not is_inside({', '.join('n' + s for s in x)}, low, high):",
+            f"            if is_near({', '.join('n' + s for s in x)}, low, high):",
+            f"                return {', '.join('n' + s for s in x)}, False",
+            f"            return {state}, False",
+            f"        {_tuple(x)} = {_tuple('n' + s for s in x)}",
+            f"    return {state}, True\n",
+        ]
+    )
 
 
 def nominal_source(system: FlatSystem) -> str:
@@ -186,11 +206,13 @@ def nominal_source(system: FlatSystem) -> str:
     parts = ["coordinates", "lie_terms", "bounds", "nominal_drift", "input_field"]
     return "".join(
         [
-            HEADER.format(name=system.name).replace("\nfrom mfc_gym.task import Task\n", ""),
+            HEADER.replace("\nfrom mfc_gym.task import Task\n", ""),
             f"\nNAME = {system.name!r}\nSTATE = {tuple(system.state)!r}\nORDER = {n}\n",
             f"EQUATIONS = {{'f': {tuple(map(str, system.f))!r}, 'g': {tuple(map(str, system.g))!r}, 'h': {str(system.h)!r}}}\n",
             function("coordinates", x, rename(system.tau), "xi = tau(x)."),
-            function("lie_terms", x, rename([system.alpha, system.beta]), "(alpha, beta) = (L_f^n h, L_g L_f^(n-1) h)."),
+            function(
+                "lie_terms", x, rename([system.alpha, system.beta]), "(alpha, beta) = (L_f^n h, L_g L_f^(n-1) h)."
+            ),
             function("bounds", x, rename([bounds[k] for k in BOUNDS]), ", ".join(BOUNDS) + "."),
             function("nominal_drift", x, rename(system.f), "f."),
             function("input_field", x, rename(system.g), "g."),
@@ -211,7 +233,9 @@ def complete_bounds(system: FlatSystem) -> dict[str, sp.Expr]:
     declared = dict(system.bounds)
     missing = [k for k in ("delta_1", "delta_3") if k not in declared]
     if missing:
-        raise ValueError(f"`bounds` must give delta_1 and delta_3, {', '.join(missing)} missing in system {system.name!r}.")
+        raise ValueError(
+            f"`bounds` must give delta_1 and delta_3, {', '.join(missing)} missing in system {system.name!r}."
+        )
     worst = 1 - declared["delta_3"]
     derived = {
         "delta_m": declared["delta_1"],

@@ -18,7 +18,8 @@ Measurement, bound and initial guess are limited to `LARGE`, so that finite inpu
 
 [1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output
     time-derivatives to compensate unmatched uncertainties.
-[2] Levant: Higher-order sliding modes, differentiation and output-feedback control. Int. J. Control 76, 2003.
+[2] Levant: Higher-order sliding modes, differentiation and output-feedback control. Int. J. Control 76, 2003; gains as
+    in Levant, Livne, Eur. J. Control 2020, doi 10.1016/j.ejcon.2019.08.006.
 [3] Levant: Non-homogeneous finite-time-convergent differentiator. CDC 2009.
 [4] Livne, Levant: Proper discretization of homogeneous differentiators. Automatica 50, 2014.
 [5] Seeber: implicit robust exact differentiator. arXiv 2404.02770, 2024.
@@ -37,11 +38,11 @@ Kernel = Callable[[Array, float, float, float, Array, Array], None]
 
 N_MAX = 13  # LAMBDA is published up to order m = 12
 LARGE = 1e100  # its powers and products below stay far from overflow
-NEWTON_STEPS = 20  # a guard: at most 8 were measured
+NEWTON_STEPS = 20  # a guard: at most 7 were measured
 NEWTON_TOLERANCE = 1e-8  # of the last step; quadratic convergence leaves the rounding error
 
-# Gains of the recursive form: lambda_j [2], mu_j of the linear terms [3]. mu_6 ... mu_12 are ours: 2.2 mu_(j-2) or more
-# keeps the linear part alone Hurwitz for every order.
+# Gains of the recursive form: lambda_j [2], mu_j of the linear terms [3]. mu_6 ... mu_12 are ours, about 2.2 mu_(j-2)
+# or more, so that the linear part alone stays Hurwitz for every order.
 LAMBDA = np.array([1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0, 14.0, 17.0, 20.0, 26.0, 32.0])
 MU = np.array([2.0, 3.0, 4.0, 7.0, 9.0, 13.0, 25.0, 32.0, 55.0, 70.0, 121.0, 154.0, 266.0])
 

@@ -14,11 +14,12 @@ Array = NDArray[np.float64]
 
 
 class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
-    """Track y_d with y = h(x) of x' = f(x) + g(x) u + Delta(x), eq. (1) of [1], the input held over each sampling interval.
+    """Track y_d with y = h(x) of x' = f(x) + g(x) u + Delta(x), eq. (1) of [1], the input held over every interval dt.
 
     Observation: [x (n), xi_n (n), y_d ... y_d^(n) (n+1)], float64. Action: u / input_limit in [-1, 1].
-    Reward: -dt min(cost, cost_max); leaving the operating region (terminated) costs cost_max for the rest of the horizon.
-    The options are those of `mfc_gym.simulation.Settings`; further keywords go to the plant (the chain's `order`, say).
+    Reward: -dt min(cost, cost_max); leaving the operating region (terminated) costs cost_max for the rest of the
+    horizon. The options are those of `mfc_gym.simulation.Settings`; further keywords go to the plant (the chain's
+    `order`, say).
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 (Gymnasium's own convention)
@@ -46,15 +47,13 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"`render_mode` must be one of {self.metadata['render_modes']}, got {render_mode!r}.")
         given = Settings(
-            system, scenario, theta, initial_state, reference, reference_parameters, derivatives, dt, horizon, input_limit,
-            cost, cost_max, effort, tolerance, substeps,
+            system, scenario, theta, initial_state, reference, reference_parameters, derivatives, dt, horizon,
+            input_limit, cost, cost_max, effort, tolerance, substeps,
         )  # fmt: skip
         self.simulation = Simulation(given, options)
         self.render_mode = render_mode
         self.action_space = self.simulation.action_space
         self.observation_space = self.simulation.observation_space
-        self._advance = self.simulation.kernel.advance_one
-        self._settings = self.simulation.settings
         self._row: Array | None = None
         self._recorder = rendering.Recorder(self.simulation) if render_mode else None
 
@@ -94,7 +93,8 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         value = scalar_action(action)
         row = self._episode()
-        observation, reward, terminated, truncated = self._advance(row, value, self._settings)
+        simulation = self.simulation
+        observation, reward, terminated, truncated = simulation.kernel.advance_one(row, value, simulation.settings)
         if self._recorder is not None:
             self._recorder.add(observation, value)
         info: dict[str, Any] = {}
@@ -113,11 +113,13 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
 
 def scalar_action(action: Any) -> float:
-    """The one number of an action of shape (1,). Raises ValueError if it is not finite, not numeric or wrongly shaped."""
+    """The one number of an action of shape (1,). Raises ValueError if it is not a finite number or wrongly shaped."""
     try:
-        value = float(action[0]) if np.shape(action) == (1,) else math.nan
-    except (TypeError, ValueError):
-        value = math.nan
-    if math.isfinite(value):
-        return value
+        array = np.asarray(action)
+    except ValueError:  # ragged
+        array = np.array(None)
+    if array.shape == (1,) and array.dtype.kind in "fiu":
+        value = float(array[0])
+        if math.isfinite(value):
+            return value
     raise ValueError(f"`action` must be one finite number, shape (1,), got {action!r}.")

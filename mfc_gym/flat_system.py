@@ -1,22 +1,27 @@
 """Differentially flat systems with a possibly unmatched uncertainty, eq. (1) of [1].
 
-[1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output time-derivatives
-    to compensate unmatched uncertainties.
+[1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output
+    time-derivatives to compensate unmatched uncertainties.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
+from math import isfinite
+from numbers import Real
+from typing import TypeAlias
 
 import sympy as sp
+from sympy.core.function import AppliedUndef
 
 from mfc_gym.task import Task
 
 INPUT_LIMIT = sp.Symbol("input_limit", positive=True)  # may stand in a bound of the operating region
 BOUNDS = ("delta_1", "delta_3", "delta_m", "sharp_1", "sharp_3")
+NOT_REAL = (sp.nan, sp.oo, -sp.oo, sp.zoo, sp.I)
 
-Expression = sp.Expr | float
+Expression: TypeAlias = sp.Expr | float
 
 
 def lie(field: Iterable[sp.Expr], phi: sp.Expr, state: Iterable[sp.Symbol]) -> sp.Expr:
@@ -25,7 +30,7 @@ def lie(field: Iterable[sp.Expr], phi: sp.Expr, state: Iterable[sp.Symbol]) -> s
 
 
 def is_zero(expression: sp.Expr) -> bool:
-    """Identity test: exact zero, or zero to 30 digits at five points in general position (then simplified to be sure)."""
+    """Identity test: exact zero, or zero to 30 digits at five points in general position (then simplified as well)."""
     expression = sp.expand(expression)
     if expression == 0:
         return True
@@ -38,13 +43,17 @@ def is_zero(expression: sp.Expr) -> bool:
     return bool(sp.simplify(expression) == 0)
 
 
+def _is_finite(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
+
+
 @dataclass(frozen=True, eq=False)
 class FlatSystem:
     """x' = f(x) + g(x) u + Delta(x), y = h(x): eq. (1) of [1], with everything that follows from it.
 
     Expressions are SymPy expressions or numbers in the state, the known `parameters` and (in Delta alone) the uncertain
-    `theta`. Checked at construction: relative degree n of the nominal system, eq. (2); the same, uniformly, under Delta,
-    eq. (3); regular Jacobians of tau and tau_n, eq. (4) and (5).
+    `theta`. Checked at construction: relative degree n of the nominal system, eq. (2); the same, uniformly, under
+    Delta, eq. (3); regular Jacobians of tau and tau_n, eq. (4) and (5).
     """
 
     name: str
@@ -66,15 +75,20 @@ class FlatSystem:
         names = [*self.state, *self.parameters, *self.theta]
         if len(set(names)) != len(names):
             raise ValueError(f"`state`, `parameters` and `theta` must have distinct names, got {names}.")
+        for name, value in self.parameters.items():
+            if not _is_finite(value):
+                raise ValueError(f"`parameters` must be finite numbers, got {name} = {value!r}.")
         for name in ("f", "g", "Delta"):
             entries = getattr(self, name)
             if len(entries) != n:
                 raise ValueError(f"`{name}` must have {n} entries, one per state, got {len(entries)}.")
-            object.__setattr__(self, name, tuple(self._canonical(e) for e in entries))
-        object.__setattr__(self, "h", self._canonical(self.h))
-        object.__setattr__(self, "bounds", {k: self._canonical(v) for k, v in self.bounds.items()})
+            object.__setattr__(self, name, tuple(self._canonical(name, e) for e in entries))
+        object.__setattr__(self, "h", self._canonical("h", self.h))
+        object.__setattr__(self, "bounds", {k: self._canonical("bounds", v) for k, v in self.bounds.items()})
+        self._check_intervals()
         region = {x: self.region.get(x, (-10.0, 10.0)) for x in self.state}
-        object.__setattr__(self, "region", {x: tuple(self._canonical(e) for e in ends) for x, ends in region.items()})
+        region = {x: tuple(self._canonical("region", e) for e in ends) for x, ends in region.items()}
+        object.__setattr__(self, "region", region)
         self._check_names()
         self._check_relative_degree()
         self._check_diffeomorphism()
@@ -94,23 +108,42 @@ class FlatSystem:
         """n, the number of states and the relative degree."""
         return len(self.state)
 
-    def _canonical(self, expression: Expression) -> sp.Expr:
+    def _canonical(self, name: str, given: Expression) -> sp.Expr:
         """The expression in this system's own symbols: real, known parameters replaced by their values."""
-        expression = sp.sympify(expression)
+        try:
+            expression = sp.sympify(given, strict=True)  # strict: text is never evaluated
+        except sp.SympifyError:
+            expression = None
+        if not isinstance(expression, sp.Expr) or expression.has(*NOT_REAL, AppliedUndef):
+            raise ValueError(f"`{name}` must hold finite real SymPy expressions or numbers, got {given!r}.")
         values = {name: sp.nsimplify(value, rational=True) for name, value in self.parameters.items()}
         real = {s: values.get(s.name, sp.Symbol(s.name, real=True)) for s in expression.free_symbols - {INPUT_LIMIT}}
         return expression.subs(real)
 
+    def _check_intervals(self) -> None:
+        for name, ends in self.theta.items():
+            if len(ends) != 2 or not all(map(_is_finite, ends)) or not ends[0] <= ends[1]:
+                raise ValueError(f"`theta` must map names to intervals (low, high), got {name}: {ends!r}.")
+        if extra := set(self.region) - set(self.state):
+            raise ValueError(f"`region` may have the entries {self.state}, got {sorted(extra)}.")
+        for name, ends in self.region.items():
+            if len(ends) != 2 or (all(map(_is_finite, ends)) and not ends[0] < ends[1]):
+                raise ValueError(f"`region` must map states to intervals (low, high), got {name}: {ends!r}.")
+
     def _check_names(self) -> None:
-        known = set(self.x)
-        for name in ("f", "g", "h", "Delta", "bounds"):
-            value = getattr(self, name)
-            entries = value if isinstance(value, tuple) else value.values() if isinstance(value, Mapping) else (value,)
-            allowed = known | set(self.theta_symbols) if name == "Delta" else known
-            unknown = set(chain.from_iterable(e.free_symbols for e in entries)) - allowed
+        x = set(self.x)
+        for name, entries, allowed in (
+            ("f", self.f, x),
+            ("g", self.g, x),
+            ("h", (self.h,), x),
+            ("Delta", self.Delta, x | set(self.theta_symbols)),
+            ("bounds", self.bounds.values(), x),
+            ("region", chain.from_iterable(self.region.values()), {INPUT_LIMIT}),
+        ):
+            unknown = set(chain.from_iterable(sp.sympify(e).free_symbols for e in entries)) - allowed
             if unknown:
-                names = ", ".join(sorted(s.name for s in unknown))
-                raise ValueError(f"`{name}` must be an expression in {sorted(s.name for s in allowed)}, it contains {names}.")
+                known, names = sorted(s.name for s in allowed), ", ".join(sorted(s.name for s in unknown))
+                raise ValueError(f"`{name}` must be an expression in {known}, it contains {names}.")
         if extra := set(self.bounds) - set(BOUNDS):
             raise ValueError(f"`bounds` may have the entries {BOUNDS}, got {sorted(extra)}.")
 
@@ -202,10 +235,13 @@ class FlatSystem:
                     got = "0" if zero else str(sp.simplify(term))
                     need = "zero" if k < n - 1 else "nonzero"
                     raise ValueError(
-                        f"{source} = {n}: {label.format(k=k)} must be {need} (order k = {k}), got {got} in system {self.name!r}."
+                        f"{source} = {n}: {label.format(k=k)} must be {need} (order k = {k}), "
+                        f"got {got} in system {self.name!r}."
                     )
 
     def _check_diffeomorphism(self) -> None:
         for tau, name in ((self.tau, "tau"), (self.tau_n, "tau_n")):
             if is_zero(sp.Matrix(tau).jacobian(self.x).det(method="berkowitz")):
-                raise ValueError(f"`{name}` must have a nonsingular Jacobian, its determinant vanishes in system {self.name!r}.")
+                raise ValueError(
+                    f"`{name}` must have a nonsingular Jacobian, its determinant vanishes in system {self.name!r}."
+                )

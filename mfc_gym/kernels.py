@@ -9,26 +9,34 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 _lock = threading.RLock()
 
 
+class Kernel(ModuleType):
+    """A generated module. It pickles as its own source: what holds one can be copied and sent to another process."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restore, (self.__name__, self.__dict__.get("SOURCE") or Path(str(self.__file__)).read_text("utf-8"))
+
+
 @cache
 def cache_directory() -> Path | None:
-    """$MFC_GYM_CACHE, else mfc_gym in the user's cache directory; None (with one warning) where nothing can be written."""
-    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mfc_gym"
-    folder = Path(os.environ.get("MFC_GYM_CACHE") or default)
+    """$MFC_GYM_CACHE, else mfc_gym in the user's cache directory; None, with one warning, if it is not writable."""
     try:
+        given = os.environ.get("MFC_GYM_CACHE")
+        folder = Path(given or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mfc_gym").absolute()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder):
             pass
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home directory
         warnings.warn(
-            f"Kernels are compiled in every process: the cache {folder} is not writable ({error.strerror}). "
+            f"Kernels are compiled in every process, there is no writable cache: {error}. "
             "Set MFC_GYM_CACHE to a writable folder.",
             stacklevel=2,
         )
@@ -64,23 +72,43 @@ def load(name: str, source: Callable[[], str]) -> ModuleType:
             return sys.modules[name]
         folder = cache_directory()
         if folder is None:
-            module = ModuleType(name)
-            sys.modules[name] = module
-            exec(compile(source().replace("cache=True, ", ""), f"<{name}>", "exec"), module.__dict__)
-            return module
+            module: ModuleType = Kernel(name)
+            module.__dict__["SOURCE"] = source()
+            code = module.__dict__["SOURCE"].replace("cache=True, ", "")
+            return _execute(module, lambda: exec(compile(code, f"<{name}>", "exec"), module.__dict__))
         path = folder / f"{name}.py"
         if not path.exists():
-            with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".tmp", delete=False) as file:
-                file.write(source())
-            os.replace(file.name, path)
+            _write(path, source())
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
+        module.__class__ = Kernel
+        return _execute(module, partial(spec.loader.exec_module, module))
+
+
+def restore(name: str, source: str) -> ModuleType:
+    """The module again, from what `Kernel.__reduce__` kept."""
+    return load(name, lambda: source)
+
+
+def _write(path: Path, text: str) -> None:
+    """Complete or not at all, also when several processes write the same file."""
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
         try:
-            spec.loader.exec_module(module)
+            file.write(text)
         except BaseException:
-            del sys.modules[name]
+            os.unlink(file.name)
             raise
-        return module
+    os.replace(file.name, path)
+
+
+def _execute(module: ModuleType, run: Callable[[], None]) -> ModuleType:
+    """Runs the module's text; a module that fails is not left behind."""
+    sys.modules[module.__name__] = module
+    try:
+        run()
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    return module

@@ -24,6 +24,7 @@ class NominalModel:
     kernel: ModuleType
     dt: float  # s, sampling time
     input_limit: float
+    bandwidth: float = 1.0  # 1/s, time scale of the task
 
     @property
     def name(self) -> str:

@@ -15,7 +15,9 @@ def order(observation: Array) -> int:
     """n, from the length of the last axis. Raises ValueError if no order fits."""
     entries = np.shape(observation)[-1] if np.ndim(observation) else 0
     if entries < 7 or (entries - 1) % 3:
-        raise ValueError(f"`observation` must have 3 n + 1 entries on its last axis, got shape {np.shape(observation)}.")
+        raise ValueError(
+            f"`observation` must have 3 n + 1 entries on its last axis, got shape {np.shape(observation)}."
+        )
     return (entries - 1) // 3
 
 

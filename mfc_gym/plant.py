@@ -5,7 +5,7 @@ import importlib.util
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from mfc_gym.flat_system import FlatSystem
 
 Array = NDArray[np.float64]
-GENERATORS = tuple(Path(__file__).with_name(f"{name}.py") for name in ("flat_system", "code_generation", "task", "plant_file"))
+GENERATORS = (
+    *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity"),
+    *("enclosure", "interval", "interval_function", "branch_and_bound"),
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,9 @@ def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
             raise ValueError(f"a plant file takes no options, got {sorted(options)}.")
         return load_plant_file(name)
     module, _, attribute = _location(name).partition(":")
-    make = getattr(importlib.import_module(module), attribute)
+    make = getattr(importlib.import_module(module), attribute, None)
+    if not callable(make):
+        raise ValueError(f"`system` must name a function of the module {module}, got {name!r}.")
     try:
         system: FlatSystem = make(**options)
     except TypeError as error:
@@ -87,20 +92,25 @@ def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
 
 
 def load(name: str, **options: Any) -> Plant:
-    """The plant `name` with its kernels, compiled or from the cache."""
-    if name.endswith(".toml"):
+    """The plant `name` with its kernels, compiled or from the cache. Raises ValueError if there is no such plant."""
+    here = Path(__file__)
+    sources = [p for p in (here.with_name(f"{module}.py") for module in GENERATORS) if p.exists()]
+    sources += sorted(here.with_name("systems").glob("*.py"))
+    text = ""
+    if str(name).endswith(".toml"):
         path = Path(name)
         if not path.is_file():
             raise ValueError(f"`system` must be a plant file or a registered name, there is no file {name!r}.")
-        origin = path
+        text = path.read_text(
+            "utf-8", errors="backslashreplace"
+        )  # a module is imported once, a file may change while the process runs
     else:
-        spec = importlib.util.find_spec(_location(name).partition(":")[0])
-        if spec is None or spec.origin is None:
-            raise ValueError(f"`system` must name an importable module, got {name!r}.")
-        origin = Path(spec.origin)
-    library = tuple(sorted(Path(__file__).with_name("systems").glob("*.py")))
-    sources = tuple(p for p in (*GENERATORS, *library, origin) if p.exists())
-    hashed = kernels.key(kernels.fingerprint(*sources), name, json.dumps(options, sort_keys=True))
+        sources.append(_module_file(name))
+    try:
+        given = json.dumps(options, sort_keys=True)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"options of the system must be numbers, strings, lists or dicts, got {options}.") from error
+    hashed = kernels.key(kernels.fingerprint(*sources), name, given, text)
 
     def source(kind: str) -> str:
         from mfc_gym import code_generation
@@ -108,12 +118,25 @@ def load(name: str, **options: Any) -> Plant:
         system = build_system(name, options)
         return code_generation.plant_source(system) if kind == "plant" else code_generation.nominal_source(system)
 
-    modules = [kernels.load(f"mfc_{kind}_{hashed}", lambda kind=kind: source(kind)) for kind in ("plant", "nominal")]
+    modules = [kernels.load(f"mfc_{kind}_{hashed}", partial(source, kind)) for kind in ("plant", "nominal")]
     return Plant(name, options, *modules)
 
 
 def _location(name: str) -> str:
-    location = SYSTEMS.get(name, name)
+    location = SYSTEMS.get(name, name) if isinstance(name, str) else ""
     if ":" not in location:
-        raise ValueError(f"`system` must be one of {sorted(SYSTEMS)}, a module:attribute or a .toml file, got {name!r}.")
+        raise ValueError(
+            f"`system` must be one of {sorted(SYSTEMS)}, a module:attribute or a .toml file, got {name!r}."
+        )
     return location
+
+
+def _module_file(name: str) -> Path:
+    module = _location(name).partition(":")[0]
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None or spec.origin is None:
+        raise ValueError(f"`system` must name an importable module, got {name!r}.")
+    return Path(spec.origin)

@@ -6,7 +6,9 @@ Every family is one function `f(t, p, out)`: time t in s, parameters p of shape 
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import cos, pi, sin
+from itertools import product
+from math import cos, isfinite, pi, sin
+from numbers import Real
 
 import numpy as np
 from numba import njit
@@ -87,7 +89,7 @@ def step(t: float, p: Array, out: Array) -> None:
 def chirp(t: float, p: Array, out: Array) -> None:
     """y_d = amplitude sin(phi), phi = frequency t + rate t^2 / 2.
 
-    z = exp(i phi) has z' = i phi' z, hence z^(k+1) = i (phi' z^(k) + k phi'' z^(k-1)) by Leibniz' rule; y_d is the imaginary part.
+    z = exp(i phi) has z' = i phi' z, hence z^(k+1) = i (phi' z^(k) + k phi'' z^(k-1)) by Leibniz' rule; y_d = Im z.
     """
     amplitude, frequency, rate = p[0], p[1], p[2]
     phi = frequency * t + 0.5 * rate * t * t
@@ -111,18 +113,24 @@ class Reference:
     def parameters(self, given: Mapping[str, float]) -> Array:
         """Parameter vector with defaults filled in, shape (r,). Raises ValueError for unknown or non-finite entries."""
         if unknown := set(given) - set(self.defaults):
-            raise ValueError(f"`reference_parameters` must be among {sorted(self.defaults)}, got {sorted(unknown)}.")
-        values = np.array([float(given.get(name, default)) for name, default in self.defaults.items()])
-        if not np.isfinite(values).all():
-            raise ValueError(f"`reference_parameters` must be finite, got {dict(given)}.")
-        if "duration" in self.defaults and values[list(self.defaults).index("duration")] <= 0:
+            got = sorted(map(str, unknown))
+            raise ValueError(f"`reference_parameters` must be among {sorted(self.defaults)}, got {got}.")
+        for name, value in given.items():
+            if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
+                raise ValueError(f"`reference_parameters` must be finite numbers, got {name} = {value!r}.")
+        if given.get("duration", 1.0) <= 0:
             raise ValueError(f"`duration` of the reference must be positive, got {given['duration']}.")
-        return values
+        return np.array([float(given.get(name, default)) for name, default in self.defaults.items()])
 
     def draw(self, rng: np.random.Generator, given: Mapping[str, float]) -> Array:
         """Parameters drawn uniformly from the sets; those given stay as given."""
         drawn = {name: rng.uniform(low, high) for name, (low, high) in self.sets.items()}
         return self.parameters(drawn | dict(given))
+
+    def extremes(self, given: Mapping[str, float]) -> list[Array]:
+        """The defaults, and every corner of the sets; those given stay as given."""
+        corners = (dict(zip(self.sets, ends, strict=True)) for ends in product(*self.sets.values()))
+        return [self.parameters(chosen | dict(given)) for chosen in ({}, *corners)]
 
     def evaluate(self, time: float | Array, parameters: Array, order: int) -> Array:
         """[y_d, ..., y_d^(order)] at the times (s), shape time.shape + (order + 1,)."""
@@ -146,10 +154,14 @@ REFERENCES: dict[str, Reference] = {
         multisine,
         {
             "offset": 0.0,
-            **{f"{name}{i}": value for i, row in enumerate(((0.5, 0.5, 0.0), (0.3, 0.9, 1.0), (0.2, 1.3, 2.0)), start=1)
-               for name, value in zip(("amplitude", "frequency", "phase"), row, strict=True)},
+            **{"amplitude1": 0.5, "frequency1": 0.5, "phase1": 0.0},
+            **{"amplitude2": 0.3, "frequency2": 0.9, "phase2": 1.0},
+            **{"amplitude3": 0.2, "frequency3": 1.3, "phase3": 2.0},
         },
-        {f"phase{i}": _PHASE for i in (1, 2, 3)} | {"amplitude1": (0.2, 0.5), "amplitude2": (0.1, 0.3), "amplitude3": (0.0, 0.2)},
+        {
+            **{f"phase{i}": _PHASE for i in (1, 2, 3)},
+            **{"amplitude1": (0.2, 0.5), "amplitude2": (0.1, 0.3), "amplitude3": (0.0, 0.2)},
+        },
     ),
     "step": Reference(
         step,
@@ -166,6 +178,6 @@ REFERENCES: dict[str, Reference] = {
 
 def get(name: str) -> Reference:
     """The family `name`. Raises ValueError with the known names."""
-    if name not in REFERENCES:
+    if not isinstance(name, str) or name not in REFERENCES:
         raise ValueError(f"`reference` must be one of {sorted(REFERENCES)}, got {name!r}.")
     return REFERENCES[name]

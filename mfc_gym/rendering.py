@@ -20,10 +20,10 @@ class Recorder:
         self._figure: Any = None
 
     def begin(self, observation: Array) -> None:
-        self._observations, self._actions = [observation], []
+        self._observations, self._actions = [observation.copy()], []
 
     def add(self, observation: Array, action: float) -> None:
-        self._observations.append(observation)
+        self._observations.append(observation.copy())
         self._actions.append(min(max(action, -1.0), 1.0))
 
     def picture(self) -> NDArray[np.uint8]:

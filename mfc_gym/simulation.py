@@ -1,8 +1,9 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ class Simulation:
     """A plant under zero-order hold with its reference, clock and reward, compiled; immutable once built."""
 
     def __init__(self, given: Settings, options: Mapping[str, Any]) -> None:
+        self._made_from = (given, options)
         _one_of("scenario", given.scenario, SCENARIOS)
         _one_of("derivatives", given.derivatives, DERIVATIVES)
         _one_of("cost", given.cost, COSTS)
@@ -54,20 +56,21 @@ class Simulation:
         self.scenario = given.scenario
         self.dt = _positive("dt", task.dt if given.dt is None else given.dt)
         self.horizon = _positive("horizon", task.horizon if given.horizon is None else given.horizon)
-        self.input_limit = _positive("input_limit", task.input_limit if given.input_limit is None else given.input_limit)
+        self.input_limit = _positive(
+            "input_limit", task.input_limit if given.input_limit is None else given.input_limit
+        )
         cost_max = _positive("cost_max", task.cost_max if given.cost_max is None else given.cost_max)
-        if not (math.isfinite(given.effort) and given.effort >= 0):
-            raise ValueError(f"`effort` must be finite and >= 0, got {given.effort}.")
-        self.steps = round(self.horizon / self.dt)
+        effort = _positive("effort", given.effort, or_zero=True)
+        self.steps = round(min(self.horizon / self.dt, 1e15))  # beyond, a float no longer counts every step
         if self.steps < 1 or abs(self.steps * self.dt - self.horizon) > 1e-9 * self.horizon:
             raise ValueError(f"`horizon` must be a multiple of `dt`, got horizon = {self.horizon} and dt = {self.dt}.")
         name = task.reference if given.reference is None else given.reference
         self.reference = references.get(name)
         own = task.reference_parameters if given.reference in (None, task.reference) else {}
-        self.reference_parameters = dict(own) | dict(given.reference_parameters or {})
+        self.reference_parameters = dict(own) | _dict("reference_parameters", given.reference_parameters)
         self.reference.parameters(self.reference_parameters)
         self.low, self.high = self.plant.region(self.input_limit)
-        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit)
+        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, task.bandwidth)
         p = len(self.plant.theta)
         low, high = self.plant.theta_set
         middle = tuple((low + high) / 2) if task.theta is None else task.theta
@@ -76,21 +79,24 @@ class Simulation:
         self.initial_state = _vector(
             "initial_state", origin if given.initial_state is None else given.initial_state, self.plant.order
         )
-        self._fixed = frozenset(
-            name for name in ("theta", "initial_state") if getattr(given, name) is not None
-        )
+        self._fixed = frozenset(name for name in ("theta", "initial_state") if getattr(given, name) is not None)
         self._check_state(self.initial_state)
         self._check_theta(self.theta, self.initial_state)
         if given.substeps is None:
-            self.substeps = choose_substeps(self.plant, self.dt, self.input_limit, _positive("tolerance", given.tolerance))
-        elif isinstance(given.substeps, int) and given.substeps >= 1:
+            self.substeps = choose_substeps(
+                self.plant, self.dt, self.input_limit, _positive("tolerance", given.tolerance)
+            )
+        elif isinstance(given.substeps, int) and not isinstance(given.substeps, bool) and given.substeps >= 1:
             self.substeps = given.substeps
         else:
             raise ValueError(f"`substeps` must be an integer >= 1, got {given.substeps!r}.")
         self.kernel = stepping.load(self.plant, self.reference, given.cost)
         self.settings = np.array(
-            [self.dt, self.substeps, self.input_limit, self.steps, cost_max, given.effort, *self.low, *self.high]
+            [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort, *self.low, *self.high]
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Simulation, self._made_from
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 
@@ -109,10 +115,9 @@ class Simulation:
         x = centre + half * rng.choice([-1.0, 0.0, 1.0], (64, n))
         x[0], x[1] = centre - half, centre + half
         xi_n = np.abs([self.plant.kernel.output_derivatives_at(a, b) for a in x for b in theta[:16]])
-        drawn = [self.reference.parameters(self.reference_parameters)]
-        drawn += [self.reference.draw(rng, self.reference_parameters) for _ in range(15)]
+        extremes = self.reference.extremes(self.reference_parameters)
         times = np.linspace(0.0, self.horizon, 64)
-        yd = np.max([np.abs(self.reference.evaluate(times, p, n)).max(axis=0) for p in drawn], axis=0)
+        yd = np.max([np.abs(self.reference.evaluate(times, p, n)).max(axis=0) for p in extremes], axis=0)
         above = np.concatenate([centre + half, 2.0 * xi_n.max(axis=0), 2.0 * yd + 1.0])
         below = np.concatenate([centre - half, -above[n:]])
         assert above.size == observation.size(n)
@@ -130,7 +135,7 @@ class Simulation:
 
         In the random scenario the rest is drawn from `rng`: first theta, then the initial state, then the reference.
         """
-        options = options or {}
+        options = _dict("options", options)
         if unknown := set(options) - set(RESET_OPTIONS):
             raise ValueError(f"`options` must be among {RESET_OPTIONS}, got {sorted(map(str, unknown))}.")
         random = self.scenario == "random"
@@ -139,15 +144,13 @@ class Simulation:
             theta = self._draw_theta(rng)
         if random and "initial_state" not in self._fixed:
             state = self._draw_state(rng)
-        given = self.reference_parameters
+        given = self.reference_parameters | _dict("reference_parameters", options.get("reference_parameters"))
         parameters = self.reference.draw(rng, given) if random else self.reference.parameters(given)
         if "theta" in options:
             theta = _vector("theta", options["theta"], len(self.plant.theta))
         if "initial_state" in options:
             state = _vector("initial_state", options["initial_state"], self.plant.order)
             self._check_state(state)
-        if "reference_parameters" in options:
-            parameters = self.reference.parameters(given | dict(options["reference_parameters"]))
         if options:
             self._check_theta(theta, state)
         return np.concatenate([state, theta, parameters, [0.0]])
@@ -179,7 +182,7 @@ class Simulation:
         state = self.initial_state.copy()
         for i, name in enumerate(self.plant.state):
             if name in self.plant.task.initial_set:
-                state[i] = rng.uniform(*self.plant.task.initial_set[name])
+                state[i] = rng.uniform(*np.clip(self.plant.task.initial_set[name], self.low[i], self.high[i]))
         return state
 
     def _check_state(self, state: Array) -> None:
@@ -197,22 +200,31 @@ class Simulation:
             )
 
 
-def _one_of(name: str, value: object, known: Any) -> None:
-    if value not in known:
+def _one_of(name: str, value: object, known: Iterable[str]) -> None:
+    if value not in tuple(known):
         raise ValueError(f"`{name}` must be one of {sorted(known)}, got {value!r}.")
 
 
-def _positive(name: str, value: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
-        raise ValueError(f"`{name}` must be positive and finite, got {value!r}.")
+def _positive(name: str, value: float, or_zero: bool = False) -> float:
+    number = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    if not number or value < 0 or (value == 0 and not or_zero):
+        raise ValueError(f"`{name}` must be {'>= 0' if or_zero else 'positive'} and finite, got {value!r}.")
     return float(value)
 
 
 def _vector(name: str, value: Any, size: int) -> Array:
     try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.array(np.nan)
-    if vector.shape != (size,) or not np.isfinite(vector).all():
+        vector = np.array(value)
+    except ValueError:  # ragged
+        vector = np.array(None)
+    if vector.shape != (size,) or vector.dtype.kind not in "iuf" or not np.isfinite(vector).all():
         raise ValueError(f"`{name}` must be {size} finite numbers, got {value!r}.")
-    return vector
+    return vector.astype(float)
+
+
+def _dict(name: str, value: Any) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ValueError(f"`{name}` must be a dict, got {value!r}.")
+    return dict(value)

@@ -15,7 +15,9 @@ from mfc_gym.references import Reference
 
 Array = NDArray[np.float64]
 
-TEMPLATE = '''"""Generated: the environment step of {name!r} following the reference {reference!r}. Do not edit."""
+LANES = 16  # rows that the compiler may integrate side by side, with vector instructions
+
+TEMPLATE = '''"""Generated: the environment step of a plant following the reference {reference!r}. Do not edit."""
 
 import numpy as np
 from numba import njit
@@ -23,41 +25,59 @@ from numba import njit
 from mfc_gym.references import {reference} as reference
 from mfc_gym.reward import reward
 from mfc_gym.reward import {cost} as cost
-from {plant} import integrate, output_derivatives
+from {nominal} import bounds
+from {plant} import integrate, is_inside, is_near, output_derivatives, rk4, uncertainty
 
 
 @njit
-def observe(row, t, observation):
-    """Writes [x, xi_n, y_d ... y_d^(n)] at time t."""
+def observe_plant(row, observation):
+    """Writes [x, xi_n]."""
     {state} = {state_of_row}
     {observed_state} = {state}
     {observed_derivatives} = output_derivatives({arguments})
+
+
+@njit
+def observe_reference(row, t, observation):
+    """Writes [y_d ... y_d^(n)] at time t."""
     reference(t, row[{reference_slice}], observation[{reference_start}:])
+
+
+@njit
+def saturated(action, settings):
+    """u."""
+    return settings[2] * min(max(action, -1.0), 1.0)
+
+
+@njit
+def conclude(error, u, inside, clock, settings):
+    """(reward, terminated, truncated) of the step that led here."""
+    dt, steps = settings[0], settings[3]
+    remaining = 0.0 if inside else max(steps - clock, 0.0)
+    gain = reward(cost(error, u, settings[5]), settings[4], dt, remaining)
+    return gain, not inside, inside and clock >= steps
 
 
 @njit
 def advance(row, action, settings, observation):
     """One sampling interval: (reward, terminated, truncated); row and observation are updated."""
-    dt, substeps, input_limit, steps = settings[0], int(settings[1]), settings[2], settings[3]
-    u = input_limit * min(max(action, -1.0), 1.0)
+    dt, substeps, u = settings[0], int(settings[1]), saturated(action, settings)
     low, high = settings[6:{high_start}], settings[{high_start}:]
     {state} = {state_of_row}
     {state}, inside = integrate({arguments}, u, dt / substeps, substeps, low, high)
     {state_of_row} = {state}
     row[{clock}] += 1.0
-    clock = row[{clock}]
-    observe(row, clock * dt, observation)
-    error = observation[{output}] - observation[{reference_start}]
-    remaining = 0.0 if inside else steps - clock
-    gain = reward(cost(error, u, settings[5]), settings[4], dt, remaining)
-    return gain, not inside, inside and clock >= steps
+    observe_plant(row, observation)
+    observe_reference(row, row[{clock}] * dt, observation)
+    return conclude(observation[{output}] - observation[{reference_start}], u, inside, row[{clock}], settings)
 
 
 @njit(cache=True, nogil=True)
 def first_observation(row):
     """The observation at time 0."""
     observation = np.empty({size})
-    observe(row, 0.0, observation)
+    observe_plant(row, observation)
+    observe_reference(row, 0.0, observation)
     return observation
 
 
@@ -69,12 +89,67 @@ def advance_one(row, action, settings):
     return observation, gain, terminated, truncated
 
 
+@njit(error_model="numpy")
+def integrate_lanes(x, theta, u, inside, settings):
+    """`integrate` of {lanes} rows side by side; x (n, {lanes}) and `inside` are updated, a row that is not inside stays."""
+    substeps, low, high = int(settings[1]), {low}, {high}
+    h = settings[0] / substeps
+    for _ in range(substeps):
+        for j in range({lanes}):
+            {next_state} = rk4({lane_arguments}, u[j], h)
+            within = is_inside({next_state}, low, high)
+            moves = inside[j] & (within | is_near({next_state}, low, high))
+{lanes_update}
+            inside[j] = inside[j] & within
+
+
 @njit(cache=True, nogil=True)
 def advance_all(rows, actions, settings, active, observations, rewards, terminated, truncated, start, stop):
-    """The vector environment's step of the rows start to stop; rows that are not active are left alone."""
-    for i in range(start, stop):
-        if active[i]:
-            rewards[i], terminated[i], truncated[i] = advance(rows[i], actions[i, 0], settings, observations[i])
+    """`advance` of the rows start to stop. A row that is not active is observed as it is; its action does not count."""
+    x, theta, u, inside = np.empty(({n}, {lanes})), np.empty(({p}, {lanes})), np.empty({lanes}), np.empty({lanes}, np.bool_)
+    for first in range(start, stop, {lanes}):
+        for j in range({lanes}):
+            i = min(first + j, stop - 1)
+            {lane_arguments} = {start_of_rows}
+            u[j] = saturated(actions[i, 0], settings)
+            inside[j] = active[i]
+        integrate_lanes(x, theta, u, inside, settings)
+        for j in range(min({lanes}, stop - first)):
+            i = first + j
+            {state_of_rows} = {state_of_lanes}
+            {observed_states} = {state_of_lanes}
+            {observed_derivatives_of_rows} = output_derivatives({lane_arguments})
+            rows[i, {clock}] += 1.0 if active[i] else 0.0
+            if i > start and {same_reference}:
+                for k in range({reference_start}, {size}):
+                    observations[i, k] = observations[i - 1, k]
+            else:
+                observe_reference(rows[i], rows[i, {clock}] * settings[0], observations[i])
+            rewards[i], terminated[i], truncated[i] = 0.0, False, False
+            if active[i]:
+                error = observations[i, {output}] - observations[i, {reference_start}]
+                rewards[i], terminated[i], truncated[i] = conclude(error, u[j], inside[j], rows[i, {clock}], settings)
+
+
+@njit(cache=True, nogil=True)
+def observe_all(rows, dt, chosen, observations):
+    """The observations of the chosen rows as they are."""
+    for i in range(rows.shape[0]):
+        if chosen[i]:
+            observe_plant(rows[i], observations[i])
+            observe_reference(rows[i], rows[i, {clock}] * dt, observations[i])
+
+
+@njit(cache=True, nogil=True)
+def gain_uncertainty(rows):
+    """(Delta_3, delta_3) of each row."""
+    out = np.empty((rows.shape[0], 2))
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        {state} = {state_of_row}
+        out[i, 0] = uncertainty({arguments})[1]
+        out[i, 1] = bounds({state})[1]
+    return out
 '''
 
 
@@ -82,22 +157,37 @@ def load(plant: Plant, reference: Reference, cost: str) -> ModuleType:
     """The compiled step of this plant, reference family and cost."""
     n, p, r = plant.order, len(plant.theta), len(reference.defaults)
     name = reference.derivatives.__name__
-    state = [f"x{i + 1}" for i in range(n)]
+    state, clock = [f"x{i + 1}" for i in range(n)], n + p + r
+    lanes = [*(f"x[{i}, j]" for i in range(n)), *(f"theta[{i}, j]" for i in range(p))]
     source = TEMPLATE.format(
-        name=plant.name,
         reference=name,
         cost=cost,
         plant=plant.kernel.__name__,
+        nominal=plant.nominal.__name__,
+        n=n,
+        p=p,
+        lanes=LANES,
         state=", ".join(state),
         state_of_row=", ".join(f"row[{i}]" for i in range(n)),
+        state_of_lanes=", ".join(lanes[:n]),
         arguments=", ".join([*state, *(f"row[{n + i}]" for i in range(p))]),
+        lane_arguments=", ".join(lanes),
+        start_of_rows=", ".join(f"rows[i, {i}]" for i in range(n + p)),
+        state_of_rows=", ".join(f"rows[i, {i}]" for i in range(n)),
+        observed_states=", ".join(f"observations[i, {i}]" for i in range(n)),
+        observed_derivatives_of_rows=", ".join(f"observations[i, {n + i}]" for i in range(n)),
+        next_state=", ".join(f"n{s}" for s in state),
+        lanes_update="\n".join(f"            x[{i}, j] = n{s} if moves else x[{i}, j]" for i, s in enumerate(state)),
+        low="(" + "".join(f"settings[{6 + i}], " for i in range(n)) + ")",
+        high="(" + "".join(f"settings[{6 + n + i}], " for i in range(n)) + ")",
         observed_state=", ".join(f"observation[{i}]" for i in range(n)),
         observed_derivatives=", ".join(f"observation[{n + i}]" for i in range(n)),
         output=n,
-        reference_slice=f"{n + p}:{n + p + r}",
+        reference_slice=f"{n + p}:{clock}",
         reference_start=2 * n,
+        same_reference=" and ".join(f"rows[i, {i}] == rows[i - 1, {i}]" for i in range(clock, n + p - 1, -1)),
         high_start=6 + n,
-        clock=n + p + r,
+        clock=clock,
         size=3 * n + 1,
     )
     hashed = kernels.key(source, kernels.fingerprint(*kernels.files("mfc_gym", "references", "reward")))

@@ -11,6 +11,7 @@ class Task:
     theta: tuple[float, ...] | None = None  # the plant's uncertain parameters in the fixed scenario; None: mid of the set
     initial_state: tuple[float, ...] | None = None  # None: the origin
     initial_set: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # state -> interval; left out: fixed
+    bandwidth: float = 1.0  # 1/s, time scale of the task: unit of a controller's default poles
     input_limit: float = 50.0  # abs(u) <= input_limit, unit of u
     reference: str = "sine"
     reference_parameters: Mapping[str, float] = field(default_factory=dict)

@@ -9,7 +9,7 @@ from mfc_gym.task import Task
 def chua() -> FlatSystem:
     """x1' = A (1 + eps_A) (x2 - N(x1)), x2' = x1 - x2 + x3, x3' = -B (1 + eps_B) x2 + u, N = (2 x1^3 - x1) / 7, y = x1.
 
-    Dimensionless. Uncertain (relative): the ratio of the capacitors eps_A, the reciprocal of the inductance eps_B (matched).
+    Dimensionless. Uncertain (relative): ratio of the capacitors eps_A, reciprocal of the inductance eps_B (matched).
     beta = A; Delta_3 = eps_A.
 
     Chua's equations with the cubic and the constants A = 10, B = 100 / 7 of Hartley.

@@ -9,8 +9,8 @@ from mfc_gym.task import Task
 def duffing() -> FlatSystem:
     """x1' = (1 + eps_1) x2 + eps_x x1, x2' = k x1 - c (1 + eps_c) x1^3 - d x2 + u, y = x1.
 
-    Dimensionless, k = 1, c = 1, d = 0.3. Uncertain: the gain of the first integrator eps_1 (relative), its leakage or growth
-    eps_x, the cubic spring eps_c (relative, matched). beta = 1; Delta_3 = eps_1.
+    Dimensionless, k = 1, c = 1, d = 0.3. Uncertain: gain of the first integrator eps_1 (relative), its leakage or
+    growth eps_x, cubic spring eps_c (relative, matched). beta = 1; Delta_3 = eps_1.
     """
     x1, x2 = x = sp.symbols("x1:3", real=True)
     k, c, d, eps_1, eps_x, eps_c = sp.symbols("k c d eps_1 eps_x eps_c", real=True)

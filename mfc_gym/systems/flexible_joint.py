@@ -21,7 +21,16 @@ def flexible_joint() -> FlatSystem:
     eps_g, eps_k, nu = sp.symbols("eps_g eps_k nu", real=True)
     g, k, f = 0.3, 0.3, 0.5  # ends of the intervals of eps_g, eps_k, nu
     s, co, q = sp.sin(x1), sp.cos(x1), x1 - x3
-    gk = a * b * (co * q + s)
+    # y^(4) = (1 + eps_k)^2 spring + (1 + eps_k) (linear + terms <= coupled) + terms <= rest
+    spring, gravity = b * (b + c) * q, a * b * (co * q + s)
+    linear = gravity - b * e * x4
+    coupled = g * abs(gravity) + f * b * (abs(2 * x2 - x4) + f * abs(q))
+    rest = (
+        g * abs(a * s * x2**2 + 2 * a**2 * s * co)
+        + g**2 * a**2 * abs(s * co)
+        + f * (1 + g) * a * (2 * abs(co * x2) + f * abs(s))
+        + f**3 * abs(x2)
+    )
     return FlatSystem(
         name="flexible joint",
         state=tuple(map(str, x)),
@@ -31,26 +40,18 @@ def flexible_joint() -> FlatSystem:
         Delta=(0, -eps_g * a * s - eps_k * b * q - nu * x2, 0, eps_k * c * q),
         parameters={"a": 3.33, "b": 19.5, "c": 48.6, "d": 21.6, "e": 1.25},
         theta={"eps_g": (-g, g), "eps_k": (-k, k), "nu": (0.0, f)},
-        region={"x1": (-4, 4), "x2": (-20, 20), "x3": (-8, 8), "x4": (-60, 60)},
+        region={"x1": (-4, 4), "x2": (-10, 10), "x3": (-5, 5), "x4": (-30, 30)},
         bounds={
-            "delta_1": (  # triangle inequality on the coefficients of y'''' in eps_g, eps_k and nu
-                g * abs(a * s * x2**2 + 2 * a**2 * s * co + gk)
-                + k * abs(gk + 2 * b * (b + c) * q - b * e * x4)
-                + f * abs(2 * (a * co + b) * x2 - b * x4)
-                + g**2 * a**2 * abs(s * co)
-                + k**2 * b * (b + c) * abs(q)
-                + g * k * abs(gk)
-                + 2 * f * g * a * abs(co * x2)
-                + f * k * b * abs(2 * x2 - x4)
-                + f**2 * (abs(a * s + b * q) + g * a * abs(s) + k * b * abs(q) + f * abs(x2))
-            ),
+            "delta_1": k * (abs(2 * spring + linear) + k * abs(spring)) + (1 + k) * coupled + rest,
             "delta_3": k,
             "delta_m": (a * co + b) * (g * a * abs(s) + f * abs(x2)) + k * b * (a * co + b + c) * abs(q),
+            "sharp_1": k / (1 - k) * abs(spring + linear) + k * abs(spring) + coupled + rest / (1 - k),
+            "sharp_3": k / (1 - k),
         },
         task=Task(
             theta=(0.2, -0.3, 0.2),
             initial_state=(0.3, 0.0, 0.3, 0.0),
-            initial_set={"x1": (-0.3, 0.3), "x2": (-0.3, 0.3), "x3": (-0.3, 0.3), "x4": (-0.3, 0.3)},
+            initial_set=dict.fromkeys(map(str, x), (-0.3, 0.3)),
             input_limit=10.0,
             reference="sine",
             reference_parameters={"amplitude": 0.5, "frequency": 1.0, "phase": 0.0, "offset": 0.0},

@@ -39,8 +39,8 @@ def genesio_tesi() -> FlatSystem:
         },
         task=Task(
             theta=(0.2, -0.25, 0.1),
-            initial_state=(1.0, 0.0, 0.0),
-            initial_set=dict.fromkeys(map(str, x), (-1.0, 1.0)),
+            initial_state=(0.5, 0.5, 0.0),
+            initial_set={"x1": (-0.5, 0.5), "x2": (0.5, 1.5), "x3": (-0.5, 0.5)},
             input_limit=50.0,
             reference="sine",
             reference_parameters={"amplitude": 1.0, "frequency": 1.0, "phase": 0.0, "offset": 0.0},

@@ -13,8 +13,8 @@ def motor_pendulum() -> FlatSystem:
     Uncertain (relative): reciprocal of the inertia eps_J, load eps_N, resistance of the armature eps_R (matched).
     beta = 1 / (L M); Delta_3 = eps_J.
 
-    Model after Dawson, Carroll and Schneider, IEEE Trans. Control Systems Technology (1994); constants as found in public
-    implementations: M = 0.0642 A s^2, N = 2.28393 A, D = 0.018056 A s, L = 25 mH, R = 5 ohm, K = 0.9 V s.
+    Model after Dawson, Carroll and Schneider, IEEE Trans. Control Systems Technology (1994); constants as found in
+    public implementations: M = 0.0642 A s^2, N = 2.28393 A, D = 0.018056 A s, L = 25 mH, R = 5 ohm, K = 0.9 V s.
     """
     x1, x2, x3 = x = sp.symbols("x1:4", real=True)
     M, N, D, L, R, K = sp.symbols("M N D L R K", positive=True)
@@ -23,7 +23,7 @@ def motor_pendulum() -> FlatSystem:
     s, co = sp.sin(x1), sp.cos(x1)
     torque = x3 - D * x2 - N * s
     current = -(R * x3 + K * x2) / L
-    # y''' = (1 + eps_J) / M (moment + the terms of eps_R, eps_N, eps_J, each bounded in `rest`)
+    # y''' = (1 + eps_J) / M (moment + terms <= rest)
     moment = current - N * co * x2 - D * torque / M
     rest = r * R * abs(x3) / L + n * N * abs(co * x2 - D * s / M) + j * D * (abs(torque) + n * N * abs(s)) / M
     return FlatSystem(
@@ -50,7 +50,7 @@ def motor_pendulum() -> FlatSystem:
             input_limit=60.0,
             reference="sine",
             reference_parameters={"amplitude": 1.0, "frequency": 1.5, "phase": 0.0, "offset": 0.0},
-            horizon=20.0,
+            horizon=10.0,
             dt=0.002,
         ),
     )

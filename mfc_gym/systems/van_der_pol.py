@@ -9,8 +9,8 @@ from mfc_gym.task import Task
 def van_der_pol() -> FlatSystem:
     """x1' = (1 + eps_1) x2 + eps_s sin x1, x2' = -x1 + mu (1 + eps_mu) (1 - x1^2) x2 + u, y = x1.
 
-    Dimensionless, mu = 1. Uncertain: the gain of the first integrator eps_1 (relative), a disturbance eps_s in front of it,
-    the damping eps_mu (relative, matched). beta = 1; Delta_3 = eps_1.
+    Dimensionless, mu = 1. Uncertain: gain of the first integrator eps_1 (relative), a disturbance eps_s in front of it,
+    damping eps_mu (relative, matched). beta = 1; Delta_3 = eps_1.
     """
     x1, x2 = x = sp.symbols("x1:3", real=True)
     mu, eps_1, eps_s, eps_mu = sp.symbols("mu eps_1 eps_s eps_mu", real=True)

@@ -1,0 +1,137 @@
+"""What a plant declares about its uncertainty, proved or refuted over the operating region and the admissible theta.
+
+`derive_bounds` finds bounds that hold, `check_bounds` proves the declared ones or gives a counterexample. Admissible are the
+theta of the declared box with abs(Delta_3) <= delta_3; Theorem 2 of [1] needs delta_3 < 1.
+
+[1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output time-derivatives
+    to compensate unmatched uncertainties.
+"""
+
+import numpy as np
+import sympy as sp
+
+from mfc_gym.branch_and_bound import BUDGET, Box, Point, Verdict, enclose, prove_bound
+from mfc_gym.domain import undefined_at, zero_at
+from mfc_gym.falsification import Counterexample, falsify
+from mfc_gym.flat_system import BOUNDS, FlatSystem
+from mfc_gym.triangle import round_up, triangle_bound
+from mfc_gym.uncertainty import Uncertainty, region_box
+
+__all__ = [
+    "Box",
+    "Counterexample",
+    "Verdict",
+    "check_bounds",
+    "check_domain",
+    "derive_bounds",
+    "enclose",
+    "falsify",
+    "prove_bound",
+    "region_box",
+]
+TOLERANCE = 1e-9  # of a declared bound, relative above 1: what the rounding of its decimals may cost
+
+
+def check_domain(system: FlatSystem) -> None:
+    """Raises ValueError where an expression of the system is not defined, or beta vanishes, within region and theta box."""
+    u = Uncertainty(system)
+    for name in ("f", "g", "Delta"):
+        for i, entry in enumerate(getattr(system, name), start=1):
+            if clause := undefined_at([entry], u.box):
+                raise ValueError(f"`{name}` entry {i} must be defined in the whole operating region: {clause}.")
+    if clause := undefined_at([system.h], u.box):
+        raise ValueError(f"`h` must be defined in the whole operating region: {clause}.")
+    derivatives = [*system.lie_f, system.beta, *system.lie_f_Delta, u.Delta_3]
+    if clause := undefined_at(derivatives, u.box):
+        raise ValueError(f"`f`, `g`, `h` and `Delta` must have derivatives in the whole operating region: {clause}.")
+    if clause := zero_at(system.beta, u.region):
+        raise ValueError(f"`g` must give an input gain L_g L_f^(n-1) h other than zero in the whole region: {clause}.")
+
+
+def derive_bounds(system: FlatSystem) -> dict[str, sp.Expr]:
+    """All bounds of `mfc_gym.nominal`: the declared ones, the others rigorously from the equations and the sets.
+
+    Where theta can be separated from the state they are functions of the state (triangle inequality), else constants.
+    Raises ValueError if abs(Delta_3) reaches 1 in the theta box and no delta_3 is declared that says which theta count.
+    """
+    u = Uncertainty(system)
+    if u.delta_3 is None:
+        u.require_invertible_gain()
+    bounds = {name: system.bounds[name] if name in system.bounds else _derived(u, name) for name in BOUNDS}
+    if u.delta_3 is None and not enclose(bounds["delta_3"], u.region)[1] < 1:
+        bounds["delta_3"] = round_up(max(-u.range_3[0], u.range_3[1]))
+    return bounds
+
+
+def _derived(u: Uncertainty, name: str) -> sp.Expr:
+    numerator, denominator = u.quotient(name)
+    if (denominator == 1 or u.uniform) and (bound := triangle_bound(numerator, u.theta, denominator)) is not None:
+        return bound
+    low, high = enclose(numerator / denominator, u.box, where=u.where)
+    if not max(-low, high) < float("inf"):
+        raise ValueError(f"`bounds` must give {name}: what it bounds could not be enclosed over region and theta.")
+    return round_up(max(-low, high))
+
+
+def check_bounds(system: FlatSystem, *, rng: np.random.Generator | None = None, budget: int = BUDGET) -> dict[str, Verdict]:
+    """The verdict on every declared bound, "proved" or "undecided" (no counterexample found).
+
+    Raises ValueError with a counterexample if a bound does not hold, if delta_3 may reach 1, or if no theta is admissible;
+    without a declared delta_3 if abs(Delta_3) reaches 1 in the theta box.
+    """
+    u = Uncertainty(system)
+    rng = np.random.default_rng(0) if rng is None else rng
+    if u.delta_3 is None:
+        u.require_invertible_gain()
+    else:
+        below_one = prove_bound(u.delta_3, 1, u.region, strict=True)
+        if below_one.status != "proved":
+            raise ValueError(f"`bounds` must have delta_3 < 1 in the whole region, got {u.delta_3}.")
+        _check_default_theta(u)
+    return {name: _verdict(u, name, bound, rng, budget) for name, bound in system.bounds.items()}
+
+
+def _check_default_theta(u: Uncertainty) -> None:
+    task = u.system.task
+    theta = task.theta or [(low + high) / 2 for low, high in u.theta_box.values()]
+    at_default = {s: sp.Rational(value) for s, value in zip(u.theta_box, theta, strict=True)}
+    verdict = _two_sided(u.Delta_3.subs(at_default), u.delta_3, u.region, [], BUDGET)
+    if verdict.status == "refuted":
+        raise ValueError(f"`theta` of the task must keep abs(Delta_3) <= delta_3 = {u.delta_3}, got {tuple(theta)}.")
+
+
+def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator, budget: int) -> Verdict:
+    if name == "delta_3" and u.uniform:
+        return Verdict("proved", 0.0)  # it is what makes a theta admissible
+    numerator, denominator = u.quotient(name)
+    where = u.where if name != "delta_3" else []
+    tolerance = TOLERANCE * max(1.0, min(1e9, enclose(bound, u.region, budget=10)[1]))
+    if denominator == 1 or u.uniform:
+        triangle = triangle_bound(numerator, u.theta, denominator)
+        if triangle is not None:
+            verdict = prove_bound(triangle, bound, u.region, tolerance=tolerance, budget=budget // 4)
+            if verdict.status == "proved":
+                return verdict
+    found = falsify(sp.Abs(numerator), bound * denominator, u.box, rng, where=where, tolerance=tolerance)
+    if found is not None:
+        raise ValueError(_refusal(name, numerator / denominator, bound, found.point))
+    verdict = _two_sided(numerator, bound * denominator, u.box, where, budget, tolerance)
+    if verdict.status == "refuted" and verdict.point is not None:
+        raise ValueError(_refusal(name, numerator / denominator, bound, verdict.point))
+    return verdict
+
+
+def _two_sided(
+    expr: sp.Expr, bound: sp.Expr, box: Box, where: list[sp.Expr], budget: int, tolerance: float = TOLERANCE
+) -> Verdict:
+    """abs(expr) <= bound, each sign by itself: both are as smooth as expr."""
+    verdicts = [prove_bound(sign * expr, bound, box, where=where, tolerance=tolerance, budget=budget) for sign in (1, -1)]
+    rank = {"proved": 0, "undecided": 1, "refuted": 2}
+    return max(verdicts, key=lambda v: (rank[v.status], v.excess))
+
+
+def _refusal(name: str, expr: sp.Expr, bound: sp.Expr, point: Point) -> str:
+    meaning = {"delta_1": "Delta_1", "delta_3": "Delta_3", "delta_m": "phi_m"}.get(name, f"Delta_{name[-1]} / (1 + Delta_3)")
+    value, limit = (float(abs(e.subs(point))) for e in (expr, bound))
+    where = ", ".join(f"{s} = {v:.6g}" for s, v in sorted(point.items(), key=lambda item: item[0].name))
+    return f"`bounds` {name} must bound abs({meaning}): {value:.6g} exceeds {limit:.6g} at {where}."

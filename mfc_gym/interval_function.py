@@ -1,0 +1,86 @@
+"""Natural interval extension of SymPy expressions: a tape of interval operations, every subexpression evaluated once.
+
+See Moore, Kearfott, Cloud, Introduction to Interval Analysis (SIAM 2009), chapters 5 and 6.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import sympy as sp
+from mpmath import iv, libmp
+
+from mfc_gym.interval import FUNCTIONS, Interval, Undefined, ends, exponential, logarithm, make, power, root_power, step
+
+Ends = tuple[float, float]
+REALS: Ends = (float("-inf"), float("inf"))
+HUGE, TINY = 1e300, 1e-290
+CONSTANTS: dict[sp.Expr, Callable[[], Interval]] = {sp.pi: lambda: +iv.pi, sp.E: lambda: +iv.e}
+
+
+class IntervalFunction:
+    """`expressions` of `symbols` on boxes.
+
+    A finite value says that the expression is defined on the whole box and, `sign` apart, continuous there; a value that
+    cannot be bounded (a pole in the box, an overflow, a function without interval version) is all reals.
+    """
+
+    def __init__(self, expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> None:
+        self._index: dict[sp.Expr, int] = {s: i for i, s in enumerate(symbols)}
+        self._tape: list[tuple[Callable[..., Interval], tuple[int, ...]]] = []
+        self._inputs = len(symbols)
+        self._outputs = [self._place(e) for e in expressions]
+
+    def __call__(self, box: Sequence[Ends]) -> list[Ends]:
+        """(low, high) of every expression over the box, one (low, high) per symbol."""
+        values: list[Interval | None] = [make(libmp.from_float(a), libmp.from_float(b)) for a, b in box]
+        for operation, places in self._tape:
+            arguments = [values[i] for i in places]
+            try:
+                values.append(None if None in arguments else operation(*arguments))
+            except Undefined:
+                values.append(None)
+        return [_floats(values[i]) for i in self._outputs]
+
+    def _place(self, e: sp.Expr) -> int:
+        """Where the value of `e` stands; written to the tape if it is not there yet."""
+        if e not in self._index:
+            operation, arguments = _operation(e)
+            places = tuple(self._place(a) for a in arguments)
+            self._tape.append((operation, places))
+            self._index[e] = self._inputs + len(self._tape) - 1
+        return self._index[e]
+
+
+def _operation(e: sp.Expr) -> tuple[Callable[..., Interval], tuple[sp.Expr, ...]]:
+    if isinstance(e, sp.Rational):
+        value = iv.mpf(e.p) / iv.mpf(e.q)
+        return (lambda: value), ()
+    if isinstance(e, sp.Float):
+        return (lambda: +make(e._mpf_, e._mpf_)), ()
+    if e in CONSTANTS:
+        return CONSTANTS[e], ()
+    if e.is_Symbol:
+        raise ValueError(f"`box` must have an interval for every symbol of the expression, {e} has none.")
+    if e.is_Pow:
+        if e.exp.is_Integer:
+            return partial(power, int(e.exp)), (e.base,)
+        if e.exp.is_Rational:
+            return partial(root_power, e.exp), (e.base,)
+        return (lambda base, exponent: exponential(logarithm(base) * exponent)), (e.base, e.exp)
+    if isinstance(e, sp.Heaviside):
+        return partial(step, 0), e.args[:1]
+    return FUNCTIONS.get(e.func, _unsupported), e.args if e.func in FUNCTIONS else ()
+
+
+def _unsupported() -> Interval:
+    raise Undefined
+
+
+def _floats(x: Interval | None) -> Ends:
+    if x is None:
+        return REALS
+    low, high = map(libmp.to_float, ends(x))
+    if not -HUGE < low <= high < HUGE:
+        return REALS
+    # below the normal numbers a float has fewer than 53 bits
+    return (low if abs(low) > TINY else -TINY if low < 0 else 0.0), (high if abs(high) > TINY else TINY if high > 0 else 0.0)

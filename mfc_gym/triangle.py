@@ -1,0 +1,86 @@
+"""Bound of an expression in the state and uncertain constants by the triangle inequality over the constants' intervals.
+
+abs(sum_j p_j(theta) c_j(x)) <= sum_j sup abs(p_j) abs(c_j(x)): a function of the state, as tight as the state lets it be,
+where a constant would hold the worst case of the whole region against every state.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context, Decimal
+
+import sympy as sp
+
+from mfc_gym.branch_and_bound import Box, enclose
+
+DIGITS = Context(prec=9, rounding=ROUND_CEILING)
+ROUNDING = 1e-12  # relative; the decimal ends of a declared interval are only known to 1e-16 as floats
+LIFTED = sp.Dummy("Delta_3", real=True)
+
+
+@dataclass(frozen=True)
+class ThetaSet:
+    """The uncertain constants: a box, and in it the part where abs(Delta_3) <= delta_3 if `delta_3` is given."""
+
+    box: Box
+    Delta_3: sp.Expr = sp.S.Zero
+    delta_3: sp.Expr | None = None
+
+    @property
+    def where(self) -> list[sp.Expr]:
+        return [] if self.delta_3 is None else [self.Delta_3 - self.delta_3, -self.Delta_3 - self.delta_3]
+
+    def supremum(self, p: sp.Expr) -> sp.Expr:
+        """sup abs(p(theta)) over the set, rounded up to nine digits."""
+        lifted = p if self.delta_3 is None else self._lift(p)
+        low, high = enclose(lifted, self._lifted_box, tolerance=1e-9, budget=200)
+        if lifted.free_symbols - {LIFTED} and self.delta_3 is not None:
+            direct = enclose(p, self.box, where=self.where, budget=200)
+            low, high = max(low, direct[0]), min(high, direct[1])
+        return round_up(max(-low, high))
+
+    @property
+    def _lifted_box(self) -> Box:
+        if self.delta_3 is None:
+            return self.box
+        low, high = enclose(self.Delta_3, self.box)
+        bound = float(self.delta_3)
+        return {**self.box, LIFTED: (max(low, -bound), min(high, bound))}
+
+    def _lift(self, p: sp.Expr) -> sp.Expr:
+        """p with Delta_3 as a variable of its own, in which the constraint abs(Delta_3) <= delta_3 is an interval."""
+        theta = list(self.box)
+        parts = p.as_numer_denom()
+        if not all(part.is_polynomial(*theta) for part in (*parts, self.Delta_3)):
+            return p
+        numerator, denominator = (sp.reduced(part, [self.Delta_3 - LIFTED], *theta)[1] for part in parts)
+        return sp.cancel(numerator / denominator)
+
+
+def round_up(value: float) -> sp.Expr:
+    """The next decimal of nine digits, as a rational number."""
+    return sp.Rational(str(DIGITS.create_decimal(Decimal(value * (1 - ROUNDING)))))
+
+
+def separate(expression: sp.Expr, theta: Sequence[sp.Symbol]) -> dict[sp.Expr, sp.Expr] | None:
+    """{c_j(x): p_j(theta)} with expression = sum_j c_j p_j, None if the expression does not separate."""
+    coefficients: dict[sp.Expr, sp.Expr] = {}
+    for term in sp.Add.make_args(sp.expand(expression)):
+        c, p = term.as_independent(*theta, as_Add=False)
+        if p.free_symbols - set(theta):
+            return None
+        coefficients[p] = coefficients.get(p, sp.S.Zero) + c
+    separated: dict[sp.Expr, sp.Expr] = {}
+    for p, c in coefficients.items():
+        number, direction = sp.factor(c).as_coeff_Mul()
+        if direction.could_extract_minus_sign():
+            number, direction = -number, -direction
+        separated[direction] = separated.get(direction, sp.S.Zero) + number * p
+    return separated
+
+
+def triangle_bound(expression: sp.Expr, theta: ThetaSet, divisor: sp.Expr = sp.S.One) -> sp.Expr | None:
+    """A bound of abs(expression / divisor(theta)) for every admissible theta, None if the expression does not separate."""
+    separated = separate(expression, list(theta.box))
+    if separated is None:
+        return None
+    return sp.Add(*(theta.supremum(sp.cancel(p / divisor)) * sp.Abs(c) for c, p in separated.items()))
