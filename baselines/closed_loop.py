@@ -83,8 +83,8 @@ def load(plant: Plant, reference: Reference, controller: LyapunovRedesign) -> Mo
     arguments = ", ".join([*(f"q[{i}]" for i in range(n)), *(f"theta[{i}]" for i in range(p))])
     if controller.feedback == "state":
         rates = (
-            f"0.0, 0.0\n    for c, a, b in zip(c, coordinate_drift({arguments}), coordinate_input({arguments})):\n"
-            "        without += c * a\n        per_input += c * b"
+            f"0.0, 0.0\n    for weight, a, b in zip(c, coordinate_drift({arguments}), coordinate_input({arguments})):\n"
+            "        without += weight * a\n        per_input += weight * b"
         )
     else:
         rates = (

@@ -26,8 +26,7 @@ from mfc_gym.nominal import NominalModel
 Array = NDArray[np.float64]
 MODELS = ("brunovsky", "nonlinear", "reference")
 FEEDBACKS = ("output derivatives", "state")
-MODEL_POLE = {"paper": 1.0, "surface": 2.0}  # n-fold, of the model loop, by design; unit of the plant's bandwidth
-PROCESS_POLE = 4.0  # n-fold, of the process loop
+MODEL_POLE = {"paper": 0.5, "surface": 1.0}  # of the model loop by design, unit of the task's model pole
 STARTS = {"reference": redesign_kernel.REFERENCE, "process": redesign_kernel.PROCESS}
 
 
@@ -149,14 +148,14 @@ def redesign(
 ) -> LyapunovRedesign:
     """A member of the family; without options the reference policy, chosen by measurement (docs/reference_policy.md).
 
-    Gains come as `k`, `k_tilde` or as poles. `design` is "paper" (P from Q = I, poles -1 and -4 by default) or "surface" (P with
-    chosen `sliding_poles`, by default next to the process poles; poles -2 and -4 by default); or P itself is given. Poles are
-    in units of the plant's bandwidth, 1/s. Raises ValueError for options that cannot work or contradict each other.
+    Gains come as `k`, `k_tilde` or as poles, by default those of the task. `design` is "paper" (P from Q = I; the model loop at
+    half the task's pole: -1 and -4 for the example) or "surface" (P with chosen `sliding_poles`, by default next to the process
+    poles); or P itself is given. Raises ValueError for options that cannot work or contradict each other.
     """
     n = nominal.order
     _one_of("design", design, MODEL_POLE)
-    k_gains = _gains("k", k, "model_poles", model_poles, MODEL_POLE[design] * nominal.bandwidth, n)
-    k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, PROCESS_POLE * nominal.bandwidth, n)
+    k_gains = _gains("k", k, "model_poles", model_poles, MODEL_POLE[design] * nominal.model_pole, n)
+    k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, nominal.process_pole, n)
     _one_of("gain", gain, GAINS)
     _one_of("switching", switching, SWITCHINGS)
     _one_of("model", model, MODELS)
@@ -188,13 +187,13 @@ def redesign(
 
 def _surface_design(k_tilde: Array, sliding_poles: Sequence[complex] | None) -> Array:
     """P of the "surface" design: closed form for equal poles, else from the positive real lemma."""
-    n, poles = len(k_tilde), np.roots([1.0, *k_tilde[::-1]])
+    n = len(k_tilde)
     if sliding_poles is not None:
         c = np.append(lyapunov.place(sliding_poles), 1.0)
         if len(c) != n:
             raise ValueError(f"`sliding_poles` must be {n - 1} poles, got {sliding_poles}.")
         return lyapunov.from_surface(k_tilde, c)
-    pole = -poles.real.mean()
+    pole = float(k_tilde[-1]) / n  # minus the mean of the poles
     if np.allclose(k_tilde, lyapunov.place([-pole] * n), rtol=1e-9):
         return lyapunov.equal_poles(pole, n)
     return lyapunov.from_surface(k_tilde)

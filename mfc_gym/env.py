@@ -52,8 +52,8 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         )  # fmt: skip
         self.simulation = Simulation(given, options)
         self.render_mode = render_mode
-        self.action_space = self.simulation.action_space
-        self.observation_space = self.simulation.observation_space
+        self.action_space = self.simulation.action_space  # type: ignore[assignment]
+        self.observation_space = self.simulation.observation_space  # type: ignore[assignment]
         self._row: Array | None = None
         self._recorder = rendering.Recorder(self.simulation) if render_mode else None
 

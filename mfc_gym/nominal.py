@@ -17,14 +17,15 @@ class NominalModel:
 
     - delta_1 >= abs(Delta_1) and delta_3 >= abs(Delta_3), eq. (26) of [1];
     - delta_m >= abs(phi_m), all that a controller for matched uncertainty needs;
-    - sharp_1 >= abs(Delta_1) / (1 + Delta_3) and sharp_3 >= abs(Delta_3) / (1 + Delta_3): the same uncertainty seen through
-      the true input gain, from which the smallest sufficient switching gain follows.
+    - sharp_1 >= abs(Delta_1) / (1 + Delta_3) and sharp_3 >= abs(Delta_3) / (1 + Delta_3): the same uncertainty seen
+      through the true input gain, from which the smallest sufficient switching gain follows.
     """
 
     kernel: ModuleType
     dt: float  # s, sampling time
     input_limit: float
-    bandwidth: float = 1.0  # 1/s, time scale of the task
+    model_pole: float = 2.0  # 1/s, see `mfc_gym.task`
+    process_pole: float = 4.0  # 1/s
 
     @property
     def name(self) -> str:
@@ -81,5 +82,8 @@ class NominalModel:
                 break
             if np.abs(residual).max() <= 1e-13 * (1 + np.abs(xi).max()):
                 return x
-            x = x - np.linalg.solve(self.tau_jacobian(x), residual)
+            try:
+                x = x - np.linalg.solve(self.tau_jacobian(x), residual)
+            except np.linalg.LinAlgError:
+                break
         raise ValueError(f"`xi` must be in the range of tau, got {xi} (Newton's method did not converge).")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import product
 from math import cos, isfinite, pi, sin
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -106,7 +107,7 @@ def chirp(t: float, p: Array, out: Array) -> None:
 class Reference:
     """A family of trajectories: its function, its parameters with defaults, and the intervals they are drawn from."""
 
-    derivatives: Callable[[float, Array, Array], None]
+    derivatives: Callable[..., Any]  # f(t, p, out)
     defaults: Mapping[str, float]
     sets: Mapping[str, Interval]
 
@@ -143,6 +144,11 @@ class Reference:
 
 _PHASE = (0.0, 2 * pi)
 
+
+def _numbered(names: tuple[str, ...], *rows: tuple[Any, ...]) -> dict[str, Any]:
+    return {f"{s}{i}": v for i, row in enumerate(rows, start=1) for s, v in zip(names, row, strict=True)}
+
+
 REFERENCES: dict[str, Reference] = {
     "constant": Reference(constant, {"value": 0.5}, {"value": (-1.0, 1.0)}),
     "sine": Reference(
@@ -154,14 +160,9 @@ REFERENCES: dict[str, Reference] = {
         multisine,
         {
             "offset": 0.0,
-            **{"amplitude1": 0.5, "frequency1": 0.5, "phase1": 0.0},
-            **{"amplitude2": 0.3, "frequency2": 0.9, "phase2": 1.0},
-            **{"amplitude3": 0.2, "frequency3": 1.3, "phase3": 2.0},
+            **_numbered(("amplitude", "frequency", "phase"), (0.5, 0.5, 0.0), (0.3, 0.9, 1.0), (0.2, 1.3, 2.0)),
         },
-        {
-            **{f"phase{i}": _PHASE for i in (1, 2, 3)},
-            **{"amplitude1": (0.2, 0.5), "amplitude2": (0.1, 0.3), "amplitude3": (0.0, 0.2)},
-        },
+        _numbered(("amplitude", "phase"), ((0.2, 0.5), _PHASE), ((0.1, 0.3), _PHASE), ((0.0, 0.2), _PHASE)),
     ),
     "step": Reference(
         step,

@@ -48,6 +48,6 @@ class Recorder:
         below.set_ylabel("$u$")
         below.set_xlabel("time in s")
         below.set_xlim(0.0, self._simulation.horizon)
-        canvas = FigureCanvasAgg(self._figure)
+        canvas: Any = FigureCanvasAgg(self._figure)
         canvas.draw()
         return np.array(canvas.buffer_rgba())[..., :3].copy()

@@ -17,7 +17,10 @@ def quadratic(error: float, u: float, effort: float) -> float:
 
 @njit
 def reward(cost: float, cost_max: float, dt: float, remaining: float) -> float:
-    """-dt min(cost, cost_max), and cost_max for every step that remains after leaving the region: leaving never pays."""
+    """-dt min(cost, cost_max), and cost_max for every step that remains after leaving the region: leaving never pays.
+
+    `cost` per second, `dt` in s, `remaining` the number of steps left.
+    """
     return -dt * (min(cost, cost_max) + cost_max * remaining)
 
 

@@ -70,7 +70,7 @@ class Simulation:
         self.reference_parameters = dict(own) | _dict("reference_parameters", given.reference_parameters)
         self.reference.parameters(self.reference_parameters)
         self.low, self.high = self.plant.region(self.input_limit)
-        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, task.bandwidth)
+        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, task.model_pole, task.process_pole)
         p = len(self.plant.theta)
         low, high = self.plant.theta_set
         middle = tuple((low + high) / 2) if task.theta is None else task.theta

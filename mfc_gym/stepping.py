@@ -15,7 +15,7 @@ from mfc_gym.references import Reference
 
 Array = NDArray[np.float64]
 
-LANES = 16  # rows that the compiler may integrate side by side, with vector instructions
+LANES = 32  # rows that the compiler may integrate side by side, with vector instructions
 
 TEMPLATE = '''"""Generated: the environment step of a plant following the reference {reference!r}. Do not edit."""
 

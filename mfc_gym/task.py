@@ -11,7 +11,8 @@ class Task:
     theta: tuple[float, ...] | None = None  # the plant's uncertain parameters in the fixed scenario; None: mid of the set
     initial_state: tuple[float, ...] | None = None  # None: the origin
     initial_set: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # state -> interval; left out: fixed
-    bandwidth: float = 1.0  # 1/s, time scale of the task: unit of a controller's default poles
+    model_pole: float = 2.0  # 1/s, n-fold pole of the model loop that suits the transients asked for
+    process_pole: float = 4.0  # 1/s, n-fold pole of the process loop that suits the plant's input
     input_limit: float = 50.0  # abs(u) <= input_limit, unit of u
     reference: str = "sine"
     reference_parameters: Mapping[str, float] = field(default_factory=dict)

@@ -12,7 +12,7 @@ import sympy as sp
 
 from mfc_gym.branch_and_bound import Box, enclose
 
-DIGITS = Context(prec=9, rounding=ROUND_CEILING)
+DIGITS = Context(prec=11, rounding=ROUND_CEILING)
 ROUNDING = 1e-12  # relative; the decimal ends of a declared interval are only known to 1e-16 as floats
 LIFTED = sp.Dummy("Delta_3", real=True)
 
@@ -30,7 +30,7 @@ class ThetaSet:
         return [] if self.delta_3 is None else [self.Delta_3 - self.delta_3, -self.Delta_3 - self.delta_3]
 
     def supremum(self, p: sp.Expr) -> sp.Expr:
-        """sup abs(p(theta)) over the set, rounded up to nine digits."""
+        """sup abs(p(theta)) over the set, rounded up to eleven digits."""
         lifted = p if self.delta_3 is None else self._lift(p)
         low, high = enclose(lifted, self._lifted_box, tolerance=1e-9, budget=200)
         if lifted.free_symbols - {LIFTED} and self.delta_3 is not None:
@@ -57,7 +57,7 @@ class ThetaSet:
 
 
 def round_up(value: float) -> sp.Expr:
-    """The next decimal of nine digits, as a rational number."""
+    """The next decimal of eleven digits, as a rational number."""
     return sp.Rational(str(DIGITS.create_decimal(Decimal(value * (1 - ROUNDING)))))
 
 

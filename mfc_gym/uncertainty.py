@@ -11,7 +11,7 @@ import sympy as sp
 from mfc_gym.branch_and_bound import Box, enclose
 from mfc_gym.flat_system import INPUT_LIMIT, FlatSystem
 from mfc_gym.interval_function import Ends, IntervalFunction
-from mfc_gym.triangle import ThetaSet
+from mfc_gym.triangle import ROUNDING, ThetaSet
 
 
 def region_box(system: FlatSystem) -> dict[sp.Symbol, Ends]:
@@ -51,22 +51,29 @@ class Uncertainty:
         return not self.Delta_3.free_symbols & set(self.region)
 
     @cached_property
-    def theta(self) -> ThetaSet:
-        """The admissible theta: the part of the box where abs(Delta_3) <= delta_3, or all of it if delta_3 is not declared."""
+    def limit_3(self) -> float | None:
+        """Upper bound of delta_3 if it excludes a part of the theta box, None if the whole box is admissible."""
         if self.delta_3 is None or not self.uniform:
-            return ThetaSet(self.theta_box)
+            return None
         limit = enclose(self.delta_3, self.region)[1]
         low, high = self.range_3
         if low > limit or high < -limit:
-            raise ValueError(f"`bounds` must admit some theta, abs(Delta_3) <= delta_3 = {self.delta_3} holds for none.")
-        if -limit <= low and high <= limit:
-            return ThetaSet(self.theta_box)
-        return ThetaSet(self.theta_box, self.Delta_3, sp.Rational(limit))
+            raise ValueError(f"`bounds` delta_3 = {self.delta_3} must admit some theta, none has abs(Delta_3) <= delta_3.")
+        return None if max(-low, high) <= limit * (1 + ROUNDING) else limit
+
+    @property
+    def theta(self) -> ThetaSet:
+        """The admissible theta: the part of the box where abs(Delta_3) <= delta_3 (all of it if that depends on the state)."""
+        limit = self.limit_3
+        return ThetaSet(self.theta_box) if limit is None else ThetaSet(self.theta_box, self.Delta_3, sp.Rational(limit))
 
     @property
     def where(self) -> list[sp.Expr]:
-        """Expressions that are <= 0 at every admissible theta."""
-        return [] if self.delta_3 is None else [self.Delta_3 - self.delta_3, -self.Delta_3 - self.delta_3]
+        """Expressions that are <= 0 at every admissible theta, and nowhere else but for a rounding."""
+        if self.limit_3 is None:
+            return []
+        limit = self.delta_3 * (1 + sp.Rational(ROUNDING))
+        return [self.Delta_3 - limit, -self.Delta_3 - limit]
 
     def quotient(self, bound: str) -> tuple[sp.Expr, sp.Expr]:
         """(numerator, denominator) of what `bound` bounds."""

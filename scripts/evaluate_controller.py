@@ -23,7 +23,7 @@ from baselines import evaluation, figures, statistics
 from baselines.provenance import provenance
 
 COLUMNS = (
-    "rms", "transient_rms", "tail_rms", "tail_max", "iae", "ise", "itae", "settling_time", "energy",
+    "tail_rms", "tail_max", "transient_rms", "rms", "iae", "ise", "itae", "settling_time", "energy",
     "tail_total_variation_rate", "variation_ratio", "saturation_time", "peak", "step_time", "escaped", "return",
 )  # fmt: skip
 
@@ -78,10 +78,11 @@ def table(results: list[evaluation.Result], title: str) -> Table:
     drawn.add_column("unit")
     for result in results:
         drawn.add_column(result.entry.label, justify="right")
-    drawn.add_row("reads", "", *(", ".join(result.entry.reads) for result in results), end_section=True)
+    drawn.add_row("reads", "", *("\n".join(result.entry.reads) for result in results), end_section=True)
     units = evaluation.units()
     for metric in COLUMNS:
-        drawn.add_row(metric.replace("_", " "), units[metric], *(_cell(evaluation.column(r, metric), metric) for r in results))
+        cells = [_cell(evaluation.column(r, metric), metric) for r in results]
+        drawn.add_row(metric.replace("_", " "), units[metric], *cells, style="bold" if metric == "tail_rms" else None)
     return drawn
 
 

@@ -43,6 +43,8 @@ def chua() -> FlatSystem:
             "sharp_3": t / (1 - t),
         },
         task=Task(
+            model_pole=3.0,
+            process_pole=10.0,
             theta=(-0.2, 0.15),
             initial_state=(0.5, 0.0, 0.0),
             initial_set={"x1": (-0.5, 0.5), "x2": (-0.2, 0.2), "x3": (-0.5, 0.5)},

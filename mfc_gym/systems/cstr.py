@@ -44,6 +44,8 @@ def cstr() -> FlatSystem:
             "sharp_3": t / (1 - t),
         },
         task=Task(
+            model_pole=2.0,
+            process_pole=8.0,
             theta=(-0.2, 0.1),
             initial_state=(0.4, 2.5),
             initial_set={"x1": (0.35, 0.55), "x2": (2.4, 3.1)},

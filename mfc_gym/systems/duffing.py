@@ -35,6 +35,8 @@ def duffing() -> FlatSystem:
             "sharp_3": t / (1 - t),
         },
         task=Task(
+            model_pole=2.0,
+            process_pole=10.0,
             theta=(-0.25, 0.3, 0.2),
             initial_state=(1.0, 0.0),
             initial_set={"x1": (-1.0, 1.0), "x2": (-1.0, 1.0)},

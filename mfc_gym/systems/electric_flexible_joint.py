@@ -64,6 +64,8 @@ def electric_flexible_joint() -> FlatSystem:
             "sharp_3": r_kd,
         },
         task=Task(
+            model_pole=3.0,
+            process_pole=8.0,
             theta=(0.15, -0.2, 0.1),
             initial_state=(0.3, 0.0, 0.3, 0.0, 0.0),
             initial_set=dict.fromkeys(map(str, x), (-0.3, 0.3)),

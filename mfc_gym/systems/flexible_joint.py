@@ -49,6 +49,8 @@ def flexible_joint() -> FlatSystem:
             "sharp_3": k / (1 - k),
         },
         task=Task(
+            model_pole=3.0,
+            process_pole=10.0,
             theta=(0.2, -0.3, 0.2),
             initial_state=(0.3, 0.0, 0.3, 0.0),
             initial_set=dict.fromkeys(map(str, x), (-0.3, 0.3)),

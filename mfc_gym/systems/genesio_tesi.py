@@ -38,6 +38,8 @@ def genesio_tesi() -> FlatSystem:
             "sharp_3": 1 / p_min - 1,
         },
         task=Task(
+            model_pole=2.0,
+            process_pole=6.0,
             theta=(0.2, -0.25, 0.1),
             initial_state=(0.5, 0.5, 0.0),
             initial_set={"x1": (-0.5, 0.5), "x2": (0.5, 1.5), "x3": (-0.5, 0.5)},

@@ -44,6 +44,8 @@ def magnetic_levitation() -> FlatSystem:
             "sharp_3": t / (1 - t),
         },
         task=Task(
+            model_pole=15.0,
+            process_pole=30.0,
             theta=(-0.15, 0.2),
             initial_state=(0.053, 0.0, 6.4),
             initial_set={"x1": (0.047, 0.053), "x2": (-0.02, 0.02), "x3": (6.1, 6.4)},

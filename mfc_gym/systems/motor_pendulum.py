@@ -44,6 +44,8 @@ def motor_pendulum() -> FlatSystem:
             "sharp_3": j / (1 - j),
         },
         task=Task(
+            model_pole=5.0,
+            process_pole=20.0,
             theta=(-0.25, 0.3, 0.1),
             initial_state=(0.5, 0.0, 0.0),
             initial_set={"x1": (-0.5, 0.5), "x2": (-1.0, 1.0), "x3": (-1.0, 1.0)},

@@ -39,6 +39,8 @@ def rossler() -> FlatSystem:
             "delta_m": k * a * abs(x3) + g * a * (1 - a**2) * abs(x2),
         },
         task=Task(
+            model_pole=2.0,
+            process_pole=6.0,
             theta=(0.3, -0.25),
             initial_state=(1.0, 0.5, 0.0),
             initial_set={"x1": (1.0, 2.0), "x2": (-0.5, 0.5), "x3": (-0.5, 0.5)},

@@ -38,6 +38,8 @@ def two_mass_spring() -> FlatSystem:
             "sharp_3": k / (1 - k),
         },
         task=Task(
+            model_pole=1.5,
+            process_pole=4.0,
             theta=(-0.4,),
             initial_state=(0.2, 0.2, 0.3, 0.3),
             initial_set={"x1": (-0.2, 0.2), "x2": (-0.2, 0.2), "x3": (0.3, 0.7), "x4": (0.3, 0.7)},
