@@ -105,8 +105,12 @@ def load(plant: Plant, reference: Reference, controller: LyapunovRedesign) -> Mo
         c=layout.vector("c"),
         input_limit=layout.scalar("input_limit"),
         scalars=", ".join(
-            [*(f"q[{i}]" for i in range(n)), *(f"z[{i}]" for i in range(n)), *(f"yd[{i}]" for i in range(n + 1)),
-             *(f"q[{n + i}]" for i in range(n))]
+            [
+                *(f"q[{i}]" for i in range(n)),
+                *(f"z[{i}]" for i in range(n)),
+                *(f"yd[{i}]" for i in range(n + 1)),
+                *(f"q[{n + i}]" for i in range(n)),
+            ]
         ),
         rates=rates,
         free=", ".join(f"a{i}" for i in range(n)) + ",",
@@ -114,6 +118,8 @@ def load(plant: Plant, reference: Reference, controller: LyapunovRedesign) -> Mo
     )
     hashed = kernels.key(
         source,
-        kernels.fingerprint(*kernels.files("mfc_gym", "references"), *kernels.files("baselines", "model_loop", "switching")),
+        kernels.fingerprint(
+            *kernels.files("mfc_gym", "references"), *kernels.files("baselines", "model_loop", "switching")
+        ),
     )
     return kernels.load(f"mfc_loop_{hashed}", lambda: source)

@@ -44,7 +44,11 @@ class Controller(ABC):
         """
         observation = np.asarray(observation, dtype=float)
         n = self.nominal.order
-        if observation.ndim not in (1, 2) or observation.shape[-1] != layout.size(n) or not np.isfinite(observation).all():
+        if (
+            observation.ndim not in (1, 2)
+            or observation.shape[-1] != layout.size(n)
+            or not np.isfinite(observation).all()
+        ):
             raise ValueError(
                 f"`observation` must be finite, of shape ({layout.size(n)},) or (N, {layout.size(n)}) for a plant of order {n}, "
                 f"got {observation if observation.size < 50 else observation.shape}."
@@ -57,7 +61,9 @@ class Controller(ABC):
         if state is not None:
             given = np.atleast_2d(np.asarray(state, dtype=float))
             if given.shape != memory.shape:
-                raise ValueError(f"`state` must be what `predict` returned, of shape {memory.shape}, got {given.shape}.")
+                raise ValueError(
+                    f"`state` must be what `predict` returned, of shape {memory.shape}, got {given.shape}."
+                )
             memory[:] = given
         action = self.control(rows, memory, fresh)[:, None] / self.nominal.input_limit
         return (action[0], memory[0]) if observation.ndim == 1 else (action, memory)

@@ -97,7 +97,11 @@ def step_time(policy: Any, env: gym.Env[Any, Any], seed: int, steps: int = 200, 
 
 
 def run(
-    one: Entry, env: gym.Env[Any, Any], seeds: Sequence[int], exact: int = 0, progress: Callable[[], None] = lambda: None
+    one: Entry,
+    env: gym.Env[Any, Any],
+    seeds: Sequence[int],
+    exact: int = 0,
+    progress: Callable[[], object] = lambda: None,
 ) -> Result:
     """The episodes of these seeds; for the first `exact` of them also the control variation over the exact solution's."""
     simulation: Any = env.unwrapped.simulation  # type: ignore[attr-defined]
@@ -167,7 +171,12 @@ def replace(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    replace(path, lambda p: p.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n") and None)
+    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+    def write(target: Path) -> None:
+        target.write_text(text)
+
+    replace(path, write)
 
 
 def write_csv(path: Path, results: Iterable[Result], seeds: Sequence[int]) -> None:

@@ -51,7 +51,10 @@ def paper(mfc: ExactSolution, matched_only: ExactSolution) -> Figure:
     Blue: the law on output derivatives; orange: the law for matched uncertainty, V and w of xi_n (solid) and xi (dash-dotted).
     """
     figure, (error, V, w, u) = _axes(4, 9.0)
-    for exact, colour, label in ((mfc, "C0", "output derivatives, eq. (28)"), (matched_only, "C1", "matched only, eq. (24)")):
+    for exact, colour, label in (
+        (mfc, "C0", "output derivatives, eq. (28)"),
+        (matched_only, "C1", "matched only, eq. (24)"),
+    ):
         jumps = np.concatenate([exact.switching_times, np.nextafter(exact.switching_times, 0.0)])
         time = np.sort(np.concatenate([np.linspace(0.0, exact.end, 8001), jumps]))
         signals, P = exact.signals(time), exact.flow.controller.P

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from baselines import closed_loop
+from baselines.controller import Controller
 from baselines.redesign import LyapunovRedesign
 from mfc_gym import observation as layout
 
@@ -177,7 +178,7 @@ class ExactSolution:
 
 def filippov(
     env: Any,
-    controller: LyapunovRedesign,
+    controller: Controller,
     seed: int | None = None,
     options: dict[str, Any] | None = None,
     rtol: float = 1e-12,
@@ -191,7 +192,9 @@ def filippov(
     if not isinstance(controller, LyapunovRedesign):
         raise TypeError(f"`controller` must be of the redesign family, got {type(controller).__name__}.")
     if controller.nominal.kernel is not env.unwrapped.nominal.kernel:
-        raise ValueError(f"`controller` must be made for this environment's plant, got one for {controller.nominal.name!r}.")
+        raise ValueError(
+            f"`controller` must be made for this environment's plant, got one for {controller.nominal.name!r}."
+        )
     observation, _ = env.reset(seed=seed, options=options)
     plain, simulation = env.unwrapped, env.unwrapped.simulation
     kernel = closed_loop.load(simulation.plant, simulation.reference, controller)

@@ -49,7 +49,9 @@ def closed_loop(k: Array) -> Array:
 def from_Q(k: Array, Q: Array | None = None) -> Array:  # noqa: N802 (the paper's letter)
     """P of (A - B k')' P + P (A - B k') = -Q, shape (n, n); the paper's choice is Q = I."""
     Q = np.eye(len(k)) if Q is None else np.asarray(Q, dtype=float)
-    return positive_definite("Q", solve_continuous_lyapunov(closed_loop(k).T, -positive_definite("Q", Q, len(k))), len(k))
+    return positive_definite(
+        "Q", solve_continuous_lyapunov(closed_loop(k).T, -positive_definite("Q", Q, len(k))), len(k)
+    )
 
 
 def equal_poles(pole: float, n: int) -> Array:
@@ -92,7 +94,10 @@ def from_surface(k: Array, c: Array | None = None) -> Array:
         l_factor[: len(coefficients)] = coefficients
         P = solve_continuous_lyapunov((closed_loop(k) + eps * np.eye(len(k))).T, -np.outer(l_factor, l_factor))
         P = (P + P.T) / 2
-        if np.allclose(surface(P), surface_polynomial.coef, rtol=1e-6) and np.linalg.eigvalsh(P)[0] > 1e-12 * np.abs(P).max():
+        if (
+            np.allclose(surface(P), surface_polynomial.coef, rtol=1e-6)
+            and np.linalg.eigvalsh(P)[0] > 1e-12 * np.abs(P).max()
+        ):
             return P
     raise ValueError(
         f"`sliding_poles` must make c(s) / a(s) strictly positive real and share none of the process poles {np.round(a.roots(), 4)}, "

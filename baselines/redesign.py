@@ -110,7 +110,9 @@ class LyapunovRedesign(Controller):
         xi_d = layout.reference(observation)[..., :-1]
         if self.model == "reference" or self.initial_model_state == "reference":
             return np.zeros_like(xi_d)
-        start = self.measured(observation) if self.initial_model_state == "process" else np.array(self.initial_model_state)
+        start = (
+            self.measured(observation) if self.initial_model_state == "process" else np.array(self.initial_model_state)
+        )
         return start - xi_d
 
     def first_memory(self, observations: Array) -> Array:

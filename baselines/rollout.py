@@ -4,7 +4,6 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from baselines.trajectory import Trajectory
 from mfc_gym import observation as layout
 
 Array = NDArray[np.float64]
+Batch = tuple[Array, Array, Array, NDArray[np.bool_]]  # observations, controls, rewards, terminated
 
 
 def rollout(
@@ -49,7 +49,7 @@ def _plain(env: Any) -> bool:
     return env is env.unwrapped and hasattr(env, "rows")
 
 
-def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:
     simulation, rows = env.simulation, env.rows
     count, steps = len(first), simulation.steps
     observations = np.full((count, steps + 1, first.shape[1]), np.nan)
@@ -75,12 +75,12 @@ def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> tuple[Arr
     return cut[0], cut[1], cut[2], terminated
 
 
-def _stepwise(env: gym.Env[Any, Any], policy: Any, observation: Array, batch: bool) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _stepwise(env: Any, policy: Any, observation: Array, batch: bool) -> Batch:
     state: Any = None
     start: Any = np.ones(len(observation), dtype=bool) if batch else None
     running = np.ones(len(observation) if batch else 1, dtype=bool)
     terminated_at_all = np.zeros_like(running)
-    limit = env.unwrapped.nominal.input_limit  # type: ignore[attr-defined]
+    limit = env.unwrapped.nominal.input_limit
     observations, controls, rewards = [np.atleast_2d(observation)], [], []
     while running.any():
         action, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
@@ -89,7 +89,7 @@ def _stepwise(env: gym.Env[Any, Any], policy: Any, observation: Array, batch: bo
         applied = limit * np.clip(np.asarray(action, dtype=float)[..., 0], -1.0, 1.0)
         observations.append(np.where(running[:, None], np.atleast_2d(observation), np.nan))
         controls.append(np.where(running, applied, np.nan))
-        rewards.append(np.where(running, reward, np.nan))
+        rewards.append(np.where(running, np.asarray(reward), np.nan))
         terminated_at_all |= running & terminated
         running = running & ~(np.asarray(terminated) | np.asarray(truncated))
     return np.array(observations), np.array(controls), np.array(rewards), terminated_at_all

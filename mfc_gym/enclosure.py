@@ -14,6 +14,7 @@ from mfc_gym.branch_and_bound import Box, Point, Verdict, enclose, prove_bound
 from mfc_gym.domain import undefined_at, zero_at
 from mfc_gym.falsification import Counterexample, falsify
 from mfc_gym.flat_system import BOUNDS, FlatSystem
+from mfc_gym.termwise import proves
 from mfc_gym.triangle import round_up, triangle_bound
 from mfc_gym.uncertainty import Uncertainty, region_box
 
@@ -106,6 +107,8 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
     numerator, denominator = u.quotient(name)
     tolerance = TOLERANCE * max(1.0, min(1e9, enclose(bound, u.region, budget=10)[1]))
     if denominator == 1 or u.uniform:
+        if proves(bound, numerator, denominator, u.region, u.theta, TOLERANCE):
+            return Verdict("proved", 0.0)
         triangle = triangle_bound(numerator, u.theta, denominator)
         if triangle is not None:
             verdict = prove_bound(triangle, bound, u.region, tolerance=tolerance, budget=budget)

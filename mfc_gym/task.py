@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 class Task:
     """The default episode of a plant. Sets are boxes, drawn uniformly in the random scenario."""
 
-    theta: tuple[float, ...] | None = None  # the plant's uncertain parameters in the fixed scenario; None: mid of the set
+    theta: tuple[float, ...] | None = (
+        None  # the plant's uncertain parameters in the fixed scenario; None: mid of the set
+    )
     initial_state: tuple[float, ...] | None = None  # None: the origin
     initial_set: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # state -> interval; left out: fixed
     model_pole: float = 2.0  # 1/s, n-fold pole of the model loop that suits the transients asked for

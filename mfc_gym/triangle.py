@@ -61,26 +61,26 @@ def round_up(value: float) -> sp.Expr:
     return sp.Rational(str(DIGITS.create_decimal(Decimal(value * (1 - ROUNDING)))))
 
 
-def separate(expression: sp.Expr, theta: Sequence[sp.Symbol]) -> dict[sp.Expr, sp.Expr] | None:
-    """{c_j(x): p_j(theta)} with expression = sum_j c_j p_j, None if the expression does not separate."""
-    coefficients: dict[sp.Expr, sp.Expr] = {}
+def coefficients(expression: sp.Expr, theta: Sequence[sp.Symbol]) -> dict[sp.Expr, sp.Expr] | None:
+    """{p_j(theta): c_j(x)} with expression = sum_j p_j c_j, None if theta cannot be separated from the state."""
+    parts: dict[sp.Expr, sp.Expr] = {}
     for term in sp.Add.make_args(sp.expand(expression)):
         c, p = term.as_independent(*theta, as_Add=False)
         if p.free_symbols - set(theta):
             return None
-        coefficients[p] = coefficients.get(p, sp.S.Zero) + c
-    separated: dict[sp.Expr, sp.Expr] = {}
-    for p, c in coefficients.items():
-        number, direction = sp.factor(c).as_coeff_Mul()
-        if direction.could_extract_minus_sign():
-            number, direction = -number, -direction
-        separated[direction] = separated.get(direction, sp.S.Zero) + number * p
-    return separated
+        parts[p] = parts.get(p, sp.S.Zero) + c
+    return parts
 
 
 def triangle_bound(expression: sp.Expr, theta: ThetaSet, divisor: sp.Expr = sp.S.One) -> sp.Expr | None:
     """A bound of abs(expression / divisor(theta)) for every admissible theta, None if the expression does not separate."""
-    separated = separate(expression, list(theta.box))
-    if separated is None:
+    parts = coefficients(expression, list(theta.box))
+    if parts is None:
         return None
+    separated: dict[sp.Expr, sp.Expr] = {}  # the parts whose c_j differ by a number only are taken together
+    for p, c in parts.items():
+        number, direction = sp.factor(c).as_coeff_Mul()
+        if direction.could_extract_minus_sign():
+            number, direction = -number, -direction
+        separated[direction] = separated.get(direction, sp.S.Zero) + number * p
     return sp.Add(*(theta.supremum(sp.cancel(p / divisor)) * sp.Abs(c) for c, p in separated.items()))

@@ -6,7 +6,8 @@
 """
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -58,7 +59,7 @@ class Arguments:
     """Seed of the first episode; episode i has seed + i, for every controller"""
     exact: int = 3
     """Number of episodes for which the exact solution is computed (for the ratio of the control's variation)"""
-    out: Path = field(default=Path("results/evaluation"))
+    out: Path = Path("results/evaluation")
     """Folder for results and figures"""
 
 
@@ -73,7 +74,9 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
 
 def table(results: list[evaluation.Result], title: str) -> Table:
     """One row per metric, one column per controller; over many episodes the interquartile mean and its 95 % interval."""
-    drawn = Table(title=title, caption="e = y - y_d; the transient is the first half of the horizon, the tail the second")
+    drawn = Table(
+        title=title, caption="e = y - y_d; the transient is the first half of the horizon, the tail the second"
+    )
     drawn.add_column("metric")
     drawn.add_column("unit")
     for result in results:
@@ -111,12 +114,14 @@ def main(args: Arguments) -> None:
     entries = [evaluation.entry(specification, env) for specification in args.controllers]
     seeds = range(args.seed, args.seed + count)
     results = []
-    with Progress(*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn(), console=console) as bar:
+    with Progress(
+        *Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn(), console=console
+    ) as bar:
         for one in entries:
             task = bar.add_task(one.label, total=count)
-            results.append(evaluation.run(one, env, seeds, args.exact, lambda task=task: bar.advance(task)))
+            results.append(evaluation.run(one, env, seeds, args.exact, partial(bar.advance, task)))
     data = {
-        "environment": {"id": args.env, "options": {k: v for k, v in env.spec.kwargs.items() if v is not None}} if env.spec else {},
+        "environment": {"id": args.env, "options": env.spec.kwargs if env.spec else {}},
         "seeds": list(seeds),
         "units": evaluation.units(),
         "provenance": provenance(),

@@ -1,6 +1,6 @@
-"""Reproduce the example of the paper: the four-panel figure from the exact solution, reference values beside computed ones.
+"""Reproduce the paper's example: its four-panel figure from the exact solution, computed beside reference values.
 
-    python scripts/reproduce_paper.py --out results/paper
+python scripts/reproduce_paper.py --out results/paper
 """
 
 import sys
@@ -30,8 +30,18 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 QUANTITIES = ("first switching time", "e(5)", "e(10)", "e(20)", "IAE", "ISE", "int u^2", "max |u|", "variation of u")
 # another implementation's event-driven solution of the same equations, docs/reference_values.md
-EXPECTED: dict[str, tuple[float, ...]] = {
-    "A": (0.0024776786, -0.1553075186, -0.0089366078, -0.0017688052, 2.0452315041, 0.7942604718, 100.6591416, 43.3333, 83.0092),
+EXPECTED: dict[str, tuple[float, ...]] = {  # fmt: skip
+    "A": (
+        0.0024776786,
+        -0.1553075186,
+        -0.0089366078,
+        -0.0017688052,
+        2.0452315041,
+        0.7942604718,
+        100.6591416,
+        43.3333,
+        83.0092,
+    ),
     "B": (0.0025353060, np.nan, -0.0056993467, -0.0006874170, 2.0094570524, 0.7929102170, 101.96287, 42.3333, 81.6439),
     "C": (0.0025780981, -0.2672038249, -0.2914836460, 0.3433098900, 5.4230064, 1.9754230, 219.397, 31.5, 99.93),
     "D": (0.3838028697, -0.1398123566, -0.0036092944, -6.379e-7, 1.9554775560, 0.7798543210, 206.1238, np.nan, 124.41),
@@ -50,8 +60,9 @@ class Arguments:
 
 def solve(env: gym.Env[Any, Any]) -> dict[str, ExactSolution]:
     """The exact solutions of the cases, from the paper's initial states."""
+    common = {"switching": "sign", "initial_model_state": START, **POLES}
     return {
-        label: baselines.filippov(env, baselines.make(name, env, switching="sign", initial_model_state=START, **POLES, **options))  # type: ignore[arg-type]
+        label: baselines.filippov(env, baselines.make(name, env, **common, **options))
         for label, (name, options) in CASES.items()
     }
 
@@ -79,7 +90,7 @@ def sampled() -> dict[str, list[tuple[float, float, float]]]:
         env = gym.make("mfc_gym/PerturbedChain-v0", dt=dt)
         for design in ("paper", "surface"):
             options: dict[str, Any] = {"design": design, "gain": "paper", "initial_model_state": START, **POLES}
-            exact = baselines.filippov(env, baselines.make("mfc", env, switching="sign", **options))  # type: ignore[arg-type]
+            exact = baselines.filippov(env, baselines.make("mfc", env, switching="sign", **options))
             for switching in SWITCHINGS:
                 t = baselines.rollout(env, baselines.make("mfc", env, switching=switching, **options))
                 error = np.abs(t.error - exact.signals(np.minimum(t.time, exact.end))["error"]).max()
