@@ -7,6 +7,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
@@ -70,37 +71,35 @@ def from_surface(k: Array, c: Array | None = None) -> Array:
     """P with P B = c and (A - B k')' P + P (A - B k') < 0, for any Hurwitz k and any surface it admits; shape (n, n).
 
     By the positive real lemma P exists iff c(s) / a(s) is strictly positive real, a(s) = det(sI - A + B k'). With the decay
-    eps: (A - B k' + eps I)' P + P (A - B k' + eps I) = -l l', where l(s - eps) is the stable spectral factor of
-    c(s - eps) a(-s - eps) + c(-s - eps) a(s - eps). Without `c` the surface is a'(s) / n, which distinct
-    poles always admit, since a'(s) / a(s) = sum 1 / (s + p_i) has positive real part (n equal poles: `equal_poles`).
-    Raises ValueError for a surface that the gains do not admit, or that shares a pole with them.
+    eps: (A - B k' + eps I)' P + P (A - B k' + eps I) = -l l', where l(s - eps) is a spectral factor of
+    c(s - eps) a(-s - eps) + c(-s - eps) a(s - eps). The stable and the antistable factor give the least and the greatest
+    such P, both nearly singular; their mean is not. Without `c` the surface is a'(s) / n, which all gains
+    admit, since a'(s) / a(s) = sum 1 / (s + p_i) has positive real part (n equal poles: `equal_poles`).
+    Raises ValueError for a surface that the gains do not admit.
     """
-    a = np.polynomial.Polynomial([*k, 1.0])
-    surface_polynomial = a.deriv() / len(k) if c is None else np.polynomial.Polynomial(c)
+    a = Polynomial([*k, 1.0])
+    surface_polynomial = a.deriv() / len(k) if c is None else Polynomial(c)
     slowest = -np.max(a.roots().real)
     for eps in slowest * np.array([0.5, 0.2, 0.05, 0.01, 0.001]):
-        shifted = [p(np.polynomial.Polynomial([-eps, 1.0])) for p in (surface_polynomial, a)]
-        mirrored = [p(np.polynomial.Polynomial([-eps, -1.0])) for p in (surface_polynomial, a)]
+        shifted = [p(Polynomial([-eps, 1.0])) for p in (surface_polynomial, a)]
+        mirrored = [p(Polynomial([-eps, -1.0])) for p in (surface_polynomial, a)]
         even = shifted[0] * mirrored[1] + mirrored[0] * shifted[1]
         # m(s) m(-s) = even(s): a polynomial in s^2, positive on the imaginary axis if strictly positive real
-        squares = np.polynomial.Polynomial(even.coef[::2]).roots()
+        squares = Polynomial(even.coef[::2]).roots()
         if even.coef[0] <= 0 or ((np.abs(squares.imag) < 1e-9 * np.abs(squares)) & (squares.real < 0)).any():
             continue
-        roots = -np.sqrt(squares.astype(complex))
-        m = np.polynomial.Polynomial(np.real(np.polynomial.polynomial.polyfromroots(roots)))
-        m = m * np.sqrt(even.coef[0]) / m.coef[0]
-        l_factor = np.zeros(len(k))
-        coefficients = m(np.polynomial.Polynomial([eps, 1.0])).coef
-        l_factor[: len(coefficients)] = coefficients
-        P = solve_continuous_lyapunov((closed_loop(k) + eps * np.eye(len(k))).T, -np.outer(l_factor, l_factor))
+        roots, drift = -np.sqrt(squares.astype(complex)), (closed_loop(k) + eps * np.eye(len(k))).T
+        P = np.zeros((len(k), len(k)))
+        for factor in (np.poly(roots), np.poly(-roots)):
+            m = Polynomial(np.real(factor)[::-1])
+            coefficients = (m * np.sqrt(even.coef[0]) / m.coef[0])(Polynomial([eps, 1.0])).coef
+            l_factor = np.pad(coefficients, (0, len(k) - len(coefficients)))
+            P += solve_continuous_lyapunov(drift, -np.outer(l_factor, l_factor)) / 2
         P = (P + P.T) / 2
-        if (
-            np.allclose(surface(P), surface_polynomial.coef, rtol=1e-6)
-            and np.linalg.eigvalsh(P)[0] > 1e-12 * np.abs(P).max()
-        ):
-            return P
+        if np.allclose(surface(P), surface_polynomial.coef, rtol=1e-6):
+            return positive_definite("P", P, len(k))
     raise ValueError(
-        f"`sliding_poles` must make c(s) / a(s) strictly positive real and share none of the process poles {np.round(a.roots(), 4)}, "
+        f"`sliding_poles` must make c(s) / a(s) strictly positive real for the process poles {np.round(a.roots(), 4)}, "
         f"got {np.round(surface_polynomial.roots(), 4)}."
     )
 

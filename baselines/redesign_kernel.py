@@ -11,6 +11,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.switching import SWITCHINGS
 from mfc_gym import kernels
 from mfc_gym.nominal import NominalModel
 
@@ -66,8 +67,8 @@ from {nominal} import bounds as nominal_bounds
 from {nominal} import coordinates, input_field, lie_terms, nominal_drift
 
 N = {n}
-PREDICTED, ESTIMATE = N, N + 1
-BEFORE = slice(N + 2, 2 * N + 3)
+PREDICTED, ESTIMATE, LAST_BASE, LAST_GAMMA = N, N + 1, N + 2, N + 3
+BEFORE = slice(N + 4, 2 * N + 5)
 
 
 @njit
@@ -129,6 +130,7 @@ def control(observation, memory, fresh, law):
         memory[PREDICTED], memory[ESTIMATE] = np.nan, 0.0
     {model_error}
     alpha, beta, base, Gamma, s = terms({x}, {z}, {yd}, {e_star}, law)
+    {extrapolation}
     # next s for v_L = 0: the plant's chain under the held input less the model's exact next state
     b = law[{b}]
     a = {c_phi_z_minus_yd} - ({c_E_e_star}) + b * (base - {yd_n})
@@ -152,6 +154,13 @@ def control_all(observations, memory, fresh, law):
         u[i] = control(observations[i], memory[i], fresh[i], law)
     return u
 '''
+
+# to the middle of the interval: what is held is then the mean of what changes, to second order
+EXTRAPOLATION = """base_now, Gamma_now = base, Gamma
+    if not np.isnan(memory[PREDICTED]):
+        base += 0.5 * (base - memory[LAST_BASE])
+        Gamma = max(Gamma + 0.5 * (Gamma - memory[LAST_GAMMA]), 0.0)
+    memory[LAST_BASE], memory[LAST_GAMMA] = base_now, Gamma_now"""
 
 MODEL_ERROR = {
     "brunovsky": """if fresh:
@@ -178,8 +187,8 @@ FEEDBACK = {"output derivatives": "{xi_n_of_observation}", "state": "coordinates
 
 
 def memory_size(n: int, model: str) -> int:
-    """Numbers of memory per episode: model state, predicted s, estimate; for the nonlinear model also the last reference."""
-    return 2 * n + 3 if model == "nonlinear" else n + 2
+    """Numbers of memory per episode: model state, predicted s, estimate, last base and Gamma; last reference if nonlinear."""
+    return 2 * n + 5 if model == "nonlinear" else n + 4
 
 
 def _tuple(entries: Sequence[str]) -> str:
@@ -245,6 +254,7 @@ def load(nominal: NominalModel, model: str, feedback: str, gain: str, switching:
         hermite=layout.hermite,
         hermite_end=layout.hermite + (n + 1) ** 2,
         measured=FEEDBACK[feedback].format(**words),
+        extrapolation=EXTRAPOLATION if SWITCHINGS[switching].averages else "",
         model_error=MODEL_ERROR[model].format(**words),
         model_advance=MODEL_ADVANCE[model].format(**words),
     )

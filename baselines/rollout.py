@@ -12,6 +12,7 @@ from baselines import rollout_kernel
 from baselines.redesign import LyapunovRedesign
 from baselines.trajectory import Trajectory
 from mfc_gym import observation as layout
+from mfc_gym.nominal import NominalModel
 
 Array = NDArray[np.float64]
 Batch = tuple[Array, Array, Array, NDArray[np.bool_]]  # observations, controls, rewards, terminated
@@ -27,7 +28,7 @@ def rollout(
     """
     observation, _ = env.reset(seed=seed, options=options)
     batch = hasattr(env, "num_envs")
-    if compiled and isinstance(policy, LyapunovRedesign) and _plain(env):
+    if compiled and isinstance(policy, LyapunovRedesign) and _plain(env) and _made_for(policy, env.unwrapped.nominal):
         observations, controls, rewards, terminated = _compiled(env.unwrapped, policy, np.atleast_2d(observation))
     else:
         observations, controls, rewards, terminated = _stepwise(env, policy, observation, batch)
@@ -47,6 +48,11 @@ def _plain(env: Any) -> bool:
     while isinstance(env, (OrderEnforcing, PassiveEnvChecker)):
         env = env.env
     return env is env.unwrapped and hasattr(env, "rows")
+
+
+def _made_for(controller: LyapunovRedesign, nominal: NominalModel) -> bool:
+    """Whether the observations fit the controller and its inputs the environment, as `predict` would find out."""
+    return controller.nominal.order == nominal.order and controller.nominal.input_limit == nominal.input_limit
 
 
 def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:

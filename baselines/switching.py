@@ -55,18 +55,31 @@ def saturation(s: float, a: float, b: float, d: float, Gamma: float, width: floa
 
 
 @njit
+def average(s: float, a: float, b: float, Gamma: float) -> float:
+    """Mean of the continuous-time v_L over the interval, to second order, from the s it starts at and a, its end for v_L = 0.
+
+    Reaching or staying on the surface it is the solution of v_L in -Gamma Sgn(a + b v_L), a projection. If the surface is
+    crossed for good, -Gamma sgn(s) acts for the fraction s / (s - a + b Gamma sgn(s)) of the interval, its opposite after that.
+    """
+    v_L = -clip(a / b, Gamma)
+    if v_L * s > 0.0:
+        v_L *= 1.0 - 2.0 * s / (s - a + math.copysign(b * Gamma, s))
+    return v_L
+
+
+@njit
 def implicit(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
     """Set-valued sign of the next s: v_L in -Gamma Sgn(a + b v_L), whose solution is a projection.
 
     Stable for p in (0, 2), that is for abs(Delta_3) < 1; the surface is missed by O(dt).
     """
-    return -clip(a / b, Gamma)
+    return average(s, a, b, Gamma)
 
 
 @njit
 def implicit_observer(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
     """`implicit` with the estimate of the disturbance added. Stable for p in (0, 4 / (2 + rate)); misses by O(dt^2)."""
-    return -clip(a / b + d, Gamma)
+    return average(s, a + b * d, b, Gamma)
 
 
 class SwitchingLaw(NamedTuple):
@@ -74,11 +87,12 @@ class SwitchingLaw(NamedTuple):
 
     law: Law
     stable: Callable[[float], tuple[float, float]]
+    averages: bool  # aims at the mean of the continuous-time law over the interval, not at its value at the sample
 
 
 SWITCHINGS = {
-    "sign": SwitchingLaw(sign, lambda rate: (0.0, math.inf)),
-    "saturation": SwitchingLaw(saturation, lambda rate: (0.0, math.inf)),
-    "implicit": SwitchingLaw(implicit, lambda rate: (0.0, 2.0)),
-    "implicit-observer": SwitchingLaw(implicit_observer, lambda rate: (0.0, 4.0 / (2.0 + rate))),
+    "sign": SwitchingLaw(sign, lambda rate: (0.0, math.inf), averages=False),
+    "saturation": SwitchingLaw(saturation, lambda rate: (0.0, math.inf), averages=False),
+    "implicit": SwitchingLaw(implicit, lambda rate: (0.0, 2.0), averages=True),
+    "implicit-observer": SwitchingLaw(implicit_observer, lambda rate: (0.0, 4.0 / (2.0 + rate)), averages=True),
 }

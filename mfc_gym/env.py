@@ -84,7 +84,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
-        self._row = self.simulation.begin(self.np_random, options)
+        self._row = self.simulation.begin(lambda _: self.np_random, options)[0]
         observation = self.simulation.kernel.first_observation(self._row)
         if self._recorder is not None:
             self._recorder.begin(observation)
@@ -99,7 +99,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
             self._recorder.add(observation, value)
         info: dict[str, Any] = {}
         if terminated or truncated:
-            info["is_success"] = self.simulation.success(observation, terminated)
+            info["is_success"] = bool(self.simulation.success(observation, terminated))
         return observation, reward, terminated, truncated, info
 
     def render(self) -> Any:

@@ -1,8 +1,8 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any
 
@@ -16,6 +16,7 @@ from mfc_gym.reward import COSTS
 from mfc_gym.substeps import choose_substeps
 
 Array = NDArray[np.float64]
+Indices = Sequence[int] | NDArray[np.intp]
 SCENARIOS = ("paper", "random")
 DERIVATIVES = ("exact",)
 RESET_OPTIONS = ("initial_state", "theta", "reference_parameters")
@@ -68,7 +69,8 @@ class Simulation:
         self.reference = references.get(name)
         own = task.reference_parameters if given.reference in (None, task.reference) else {}
         self.reference_parameters = dict(own) | _dict("reference_parameters", given.reference_parameters)
-        self.reference.parameters(self.reference_parameters)
+        parameters = self.reference.parameters(self.reference_parameters)
+        self.kernel = stepping.load(self.plant, self.reference, given.cost)
         self.low, self.high = self.plant.region(self.input_limit)
         self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, task.model_pole, task.process_pole)
         p = len(self.plant.theta)
@@ -79,9 +81,10 @@ class Simulation:
         self.initial_state = _vector(
             "initial_state", origin if given.initial_state is None else given.initial_state, self.plant.order
         )
-        self._fixed = frozenset(name for name in ("theta", "initial_state") if getattr(given, name) is not None)
-        self._check_state(self.initial_state)
-        self._check_theta(self.theta, self.initial_state)
+        self._start = np.concatenate([self.initial_state, self.theta, parameters, [0.0]])
+        self._check(self._start[None])
+        self._theta_is_drawn = given.theta is None
+        self._columns, self._sets = self._drawn(given.initial_state is None)
         if given.substeps is None:
             self.substeps = choose_substeps(
                 self.plant, self.dt, self.input_limit, _positive("tolerance", given.tolerance)
@@ -90,10 +93,16 @@ class Simulation:
             self.substeps = given.substeps
         else:
             raise ValueError(f"`substeps` must be an integer >= 1, got {given.substeps!r}.")
-        self.kernel = stepping.load(self.plant, self.reference, given.cost)
         self.settings = np.array(
             [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort, *self.low, *self.high]
         )
+
+    @classmethod
+    def from_keywords(cls, keywords: Mapping[str, Any]) -> "Simulation":
+        """From the options of `Settings` by name; further keywords go to the plant."""
+        own = {field.name for field in fields(Settings)}
+        given = Settings(**{name: value for name, value in keywords.items() if name in own})
+        return cls(given, {name: value for name, value in keywords.items() if name not in own})
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Simulation, self._made_from
@@ -123,37 +132,45 @@ class Simulation:
         assert above.size == observation.size(n)
         return spaces.Box(below, above, dtype=np.float64)
 
-    def success(self, observation: Array, terminated: bool) -> bool:
-        """Whether an episode ended on the horizon, with abs(y - y_d) within the task's success error."""
+    def success(self, observations: Array, terminated: Any) -> Any:
+        """Whether an episode ended on the horizon, with abs(y - y_d) within the task's success error; shape (...)."""
         n = self.plant.order
-        return not terminated and bool(abs(observation[n] - observation[2 * n]) <= self.plant.task.success_error)
+        error = np.abs(observations[..., n] - observations[..., 2 * n])
+        return np.logical_not(terminated) & (error <= self.plant.task.success_error)
 
-    # -- beginning an episode -----------------------------------------------------------------------------------------
+    # -- beginning episodes -------------------------------------------------------------------------------------------
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Array:
-        """A new episode as one row. `options` may set `initial_state`, `theta` and `reference_parameters`.
+    def begin(
+        self,
+        stream: Callable[[int], np.random.Generator],
+        options: Mapping[str, Any] | None,
+        chosen: Indices = (0,),
+        num_envs: int | None = None,
+    ) -> Array:
+        """New episodes of the environments `chosen` (m,), one row each: shape (m, row), see `mfc_gym.stepping`.
 
-        In the random scenario the rest is drawn from `rng`: first theta, then the initial state, then the reference.
+        `options` may set `initial_state`, `theta` and `reference_parameters`; with `num_envs` also for each environment
+        (leading axis). In the random scenario the rest is drawn from `stream(i)`, the generator of environment i: first
+        theta, then the initial state, then the reference.
         """
         options = _dict("options", options)
         if unknown := set(options) - set(RESET_OPTIONS):
             raise ValueError(f"`options` must be among {RESET_OPTIONS}, got {sorted(map(str, unknown))}.")
-        random = self.scenario == "random"
-        theta, state = self.theta, self.initial_state
-        if random and "theta" not in self._fixed:
-            theta = self._draw_theta(rng)
-        if random and "initial_state" not in self._fixed:
-            state = self._draw_state(rng)
-        given = self.reference_parameters | _dict("reference_parameters", options.get("reference_parameters"))
-        parameters = self.reference.draw(rng, given) if random else self.reference.parameters(given)
-        if "theta" in options:
-            theta = _vector("theta", options["theta"], len(self.plant.theta))
-        if "initial_state" in options:
-            state = _vector("initial_state", options["initial_state"], self.plant.order)
-            self._check_state(state)
-        if options:
-            self._check_theta(theta, state)
-        return np.concatenate([state, theta, parameters, [0.0]])
+        given = self._given(options, chosen, num_envs)
+        rows = np.empty((len(chosen), self._start.size))
+        rows[:] = self._start
+        if self.scenario == "random":
+            self._draw(rows, [stream(int(i)) for i in chosen])
+        for columns, values in given:
+            rows[:, columns] = values
+        if given:
+            self._check(rows, chosen)
+        return rows
+
+    @property
+    def row_size(self) -> int:
+        """Numbers that an episode is made of, see `mfc_gym.stepping`."""
+        return int(self._start.size)
 
     def row_theta(self, row: Array) -> Array:
         """The true theta of an episode."""
@@ -165,39 +182,81 @@ class Simulation:
         n = self.plant.order + len(self.plant.theta)
         return row[..., n:-1]
 
-    def admissible(self, theta: Array, state: Array) -> bool:
-        """Whether abs(Delta_3) <= delta_3, what every redesign controller is told."""
-        Delta_3 = self.plant.kernel.uncertainty_at(state, theta)[1]
-        return bool(abs(Delta_3) <= self.nominal.delta_3(state) * (1 + 1e-12))
+    def _given(self, options: dict[str, Any], chosen: Indices, num_envs: int | None) -> list[tuple[Any, Any]]:
+        """(columns of the rows, their values) that the options of a reset ask for."""
+        n, p = self.plant.order, len(self.plant.theta)
+        given: list[tuple[Any, Any]] = []
+        for name, columns in (("initial_state", slice(n)), ("theta", slice(n, n + p))):
+            if name in options:
+                values = _vector(name, options[name], len(range(n + p)[columns]), num_envs)
+                given.append((columns, values if values.ndim == 1 else values[chosen]))
+        parameters = _dict("reference_parameters", options.get("reference_parameters"))
+        each = {name: np.asarray(v) for name, v in parameters.items() if num_envs is not None and np.ndim(v)}
+        for name, values in each.items():
+            if values.shape != (num_envs,):
+                raise ValueError(
+                    f"`{name}` of the reference must be one number or {num_envs}, got {parameters[name]!r}."
+                )
+        for i in range(num_envs if each and num_envs else 1):
+            self.reference.parameters(parameters | {name: values[i] for name, values in each.items()})
+        names = list(self.reference.defaults)
+        for name, value in parameters.items():
+            given.append((n + p + names.index(name), each[name][chosen] if name in each else value))
+        return given
 
-    def _draw_theta(self, rng: np.random.Generator) -> Array:
-        low, high = self.plant.theta_set
-        for _ in range(DRAWS):
-            theta = rng.uniform(low, high)
-            if self.admissible(theta, self.initial_state):
-                return theta
-        raise ValueError(f"`theta` could not be drawn: no admissible value among {DRAWS} from [{low}, {high}].")
-
-    def _draw_state(self, rng: np.random.Generator) -> Array:
-        state = self.initial_state.copy()
+    def _drawn(self, state: bool) -> tuple[list[int], tuple[Array, Array]]:
+        """What is drawn after theta: the column of each number (-1: given, hence dropped) and (low, high) of its set."""
+        n, p, columns, sets = self.plant.order, len(self.plant.theta), [], []
         for i, name in enumerate(self.plant.state):
-            if name in self.plant.task.initial_set:
-                state[i] = rng.uniform(*np.clip(self.plant.task.initial_set[name], self.low[i], self.high[i]))
-        return state
+            if state and name in self.plant.task.initial_set:
+                columns.append(i)
+                sets.append(np.clip(self.plant.task.initial_set[name], self.low[i], self.high[i]))
+        names = list(self.reference.defaults)
+        for name, interval in self.reference.sets.items():
+            columns.append(-1 if name in self.reference_parameters else n + p + names.index(name))
+            sets.append(np.array(interval))
+        low, high = np.array(sets).reshape(-1, 2).T
+        return columns, (low, high)
 
-    def _check_state(self, state: Array) -> None:
-        if not ((self.low <= state) & (state <= self.high)).all():
+    def _draw(self, rows: Array, streams: list[np.random.Generator]) -> None:
+        """Draws what is not fixed, each row from its own stream."""
+        n, p = self.plant.order, len(self.plant.theta)
+        pending = np.arange(len(rows) if self._theta_is_drawn else 0)
+        for _ in range(DRAWS):
+            if not pending.size:
+                break
+            rows[pending, n : n + p] = _uniform([streams[i] for i in pending], *self.plant.theta_set)
+            pending = pending[~self._admissible(rows[pending])]
+        else:
+            raise ValueError(f"`theta` could not be drawn: none of {DRAWS} from {self.plant.theta_set} is admissible.")
+        for column, values in zip(self._columns, _uniform(streams, *self._sets).T, strict=True):
+            if column >= 0:
+                rows[:, column] = values
+
+    def _admissible(self, rows: Array) -> NDArray[np.bool_]:
+        """Whether abs(Delta_3) <= delta_3 in each row, what every redesign controller is told."""
+        Delta_3, delta_3 = self.kernel.gain_uncertainty(rows).T
+        return np.abs(Delta_3) <= delta_3 * (1 + 1e-12)
+
+    def _check(self, rows: Array, chosen: Indices = (0,)) -> None:
+        n = self.plant.order
+        where = [""] if len(rows) == 1 else [f" in environment {i}" for i in chosen]
+        x = rows[:, :n]
+        for i in np.flatnonzero(~((self.low <= x) & (x <= self.high)).all(axis=1))[:1]:
             raise ValueError(
-                f"`initial_state` must lie in the operating region {self.low} to {self.high}, got {state}."
+                f"`initial_state` must lie in the operating region {self.low} to {self.high}, got {x[i]}{where[i]}."
+            )
+        for i in np.flatnonzero(~self._admissible(rows))[:1]:
+            Delta_3, delta_3 = self.kernel.gain_uncertainty(rows[i : i + 1])[0]
+            raise ValueError(
+                f"`theta` must keep abs(Delta_3) <= delta_3 = {delta_3:g}, "
+                f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{where[i]}."
             )
 
-    def _check_theta(self, theta: Array, state: Array) -> None:
-        if not self.admissible(theta, state):
-            Delta_3 = self.plant.kernel.uncertainty_at(state, theta)[1]
-            raise ValueError(
-                f"`theta` must keep abs(Delta_3) <= delta_3 = {self.nominal.delta_3(state):g}, "
-                f"got theta = {tuple(map(float, theta))} with Delta_3 = {Delta_3:g}."
-            )
+
+def _uniform(streams: Sequence[np.random.Generator], low: Array, high: Array) -> Array:
+    """One number of each interval from each stream, shape (len(streams), len(low)), as `Generator.uniform` draws them."""
+    return low + (high - low) * np.array([stream.random(low.size) for stream in streams]).reshape(-1, low.size)
 
 
 def _one_of(name: str, value: object, known: Iterable[str]) -> None:
@@ -212,13 +271,16 @@ def _positive(name: str, value: float, or_zero: bool = False) -> float:
     return float(value)
 
 
-def _vector(name: str, value: Any, size: int) -> Array:
+def _vector(name: str, value: Any, size: int, num_envs: int | None = None) -> Array:
+    """Shape (size,); with `num_envs` also (num_envs, size), one vector for each environment."""
     try:
         vector = np.array(value)
     except ValueError:  # ragged
         vector = np.array(None)
-    if vector.shape != (size,) or vector.dtype.kind not in "iuf" or not np.isfinite(vector).all():
-        raise ValueError(f"`{name}` must be {size} finite numbers, got {value!r}.")
+    fits = vector.shape == (size,) or (num_envs is not None and vector.shape == (num_envs, size))
+    if not fits or vector.dtype.kind not in "iuf" or not np.isfinite(vector).all():
+        each = "" if num_envs is None else f", or {num_envs} times {size}"
+        raise ValueError(f"`{name}` must be {size} finite numbers{each}, got {value!r}.")
     return vector.astype(float)
 
 

@@ -5,14 +5,20 @@ The r_k come from an exact linear system: both sides are written in the monomial
 """
 
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
+from scipy.optimize import linprog
 from sympy.polys.matrices import DomainMatrix
 
 from mfc_gym.branch_and_bound import Box, enclose
 from mfc_gym.complexity import node_count
 from mfc_gym.triangle import ThetaSet, coefficients
 
+Array = NDArray[np.float64]
+Row = list[sp.Expr]
 SIZE = 4000  # nodes of all expressions together
 
 
@@ -36,12 +42,15 @@ def proves(bound: sp.Expr, expression: sp.Expr, divisor: sp.Expr, region: Box, t
         return False
     if any(enclose(t, region, budget=10)[0] < 0 for t in terms):
         return False
-    directions = [t.replace(sp.Abs, lambda argument: argument) for t in terms]
-    solution = _solve(_monomials([*directions, *parts.values()]), len(directions))
+    numbers, rests = zip(*(t.as_coeff_Mul() for t in terms), strict=True)
+    directions = [rest.replace(sp.Abs, lambda argument: argument) for rest in rests]
+    forms = _monomials([*directions, *parts.values()])
+    weights = theta.sample([p / divisor for p in parts])
+    solution = _solve(forms, [float(abs(number)) for number in numbers], weights)
     if solution is None:
         return False
-    shares = (sp.Add(*(row[j] * p for j, p in enumerate(parts))) for row in solution)
-    return all(theta.supremum(sp.cancel(share / divisor)) <= 1 + tolerance for share in shares)
+    shares = (sp.cancel(sp.Add(*(r * p for r, p in zip(row, parts, strict=True))) / divisor) for row in solution)
+    return all(theta.supremum(s) <= abs(number) * (1 + tolerance) for s, number in zip(shares, numbers, strict=True))
 
 
 def _monomials(expressions: Sequence[sp.Expr]) -> list[dict[sp.Expr, sp.Expr]]:
@@ -70,17 +79,63 @@ def _as_sine(e: sp.Expr) -> sp.Expr:
     return (1 - sp.sin(e.base.args[0]) ** 2) ** half * e.base**odd
 
 
-def _solve(forms: Sequence[dict[sp.Expr, sp.Expr]], unknowns: int) -> list[list[sp.Expr]] | None:
-    """r with form[unknowns + j] = sum_k r[k][j] form[k], None if there is none with rational numbers."""
+def _solve(forms: Sequence[dict[sp.Expr, sp.Expr]], limits: Sequence[float], weights: Array) -> list[Row] | None:
+    """r with form[K + j] = sum_k r[k][j] form[k] exactly, K = len(limits); None if there is none with rational numbers.
+
+    Where r is not unique, a linear programme says which of its entries to make zero.
+    """
     monomials = sorted(set().union(*forms), key=sp.default_sort_key)
     matrix = sp.Matrix([[form.get(m, 0) for form in forms] for m in monomials])
     if not all(number.is_Rational for number in matrix):
         return None
     reduced, pivots = DomainMatrix.from_Matrix(matrix).to_field().rref()
-    if any(p >= unknowns for p in pivots):
+    unknowns = range(len(limits))
+    if any(p not in unknowns for p in pivots):
         return None
-    rows = reduced.to_Matrix()
-    solution = [[sp.S.Zero] * (len(forms) - unknowns) for _ in range(unknowns)]
-    for i, p in enumerate(pivots):
-        solution[p] = list(rows[i, unknowns:])
-    return solution
+    rows = reduced.to_Matrix()[: len(pivots), :]
+    free = [k for k in unknowns if k not in pivots]
+    particular, null = rows[:, len(limits) :], rows[:, free]
+    choice = sp.zeros(len(free), particular.cols)
+    if free:
+        order = [*free, *pivots]
+        best = _sparsest(np.array(particular, float), np.array(null, float), weights, np.array(limits)[order])
+        choice = sp.Matrix.hstack(*(_exact(z, particular[:, j], null) for j, z in enumerate(best.T)))
+    solved = particular - null * choice
+    return [list(solved[pivots.index(k), :] if k in pivots else choice[free.index(k), :]) for k in unknowns]
+
+
+def _exact(z: Array, particular: sp.Matrix, null: sp.Matrix) -> sp.Matrix:
+    """The rational numbers meant by z: those for which the entries of z and particular - null @ z that are tiny vanish."""
+    free = len(z)
+    equations = sp.Matrix.vstack(sp.eye(free), null)
+    right = sp.Matrix.vstack(sp.zeros(free, 1), particular)
+    entries = np.array(right, float)[:, 0] - np.array(equations, float) @ z
+    tiny = np.flatnonzero(np.abs(entries) <= 1e-9 * (1 + np.abs(entries).max())).tolist()
+    reduced, pivots = DomainMatrix.from_Matrix(equations[tiny, :].row_join(right[tiny, :])).to_field().rref()
+    if pivots == tuple(range(free)):
+        return reduced.to_Matrix()[:free, -1]
+    return sp.Matrix([sp.Rational(Fraction(v).limit_denominator(10**6)) for v in z])
+
+
+def _sparsest(particular: Array, null: Array, weights: Array, limits: Array) -> Array:
+    """z of shape (free, j): least sum of abs r[k][j] max_s abs weights[s, j] / limits[k], abs(r @ weights.T) <= limits.
+
+    r consists of the rows of z and of particular - null @ z. Its least 1-norm leaves few entries, as an author's own terms do.
+    """
+    free, terms = null.shape[1], particular.shape[1]
+
+    def rows(scale: Array) -> tuple[Array, Array]:
+        """(M, c) with M @ z.ravel() + c = (r @ scale.T / limits).ravel()."""
+        matrix = np.concatenate([np.kron(np.eye(free), scale), -np.kron(null, scale)])
+        offset = np.concatenate([np.zeros(free * len(scale)), (particular @ scale.T).ravel()])
+        inverse = np.repeat(1 / limits, len(scale))
+        return matrix * inverse[:, None], offset * inverse
+
+    (size, size_0), (share, share_0) = rows(np.diag(np.abs(weights).max(axis=0))), rows(weights)
+    slack = np.eye(len(size))
+    none = np.zeros((len(share), len(size)))
+    matrix = np.block([[size, -slack], [-size, -slack], [share, none], [-share, none]])
+    limit = np.concatenate([-size_0, size_0, 1 - share_0, 1 + share_0]) + 1e-10
+    cost = np.concatenate([np.zeros(free * terms), np.ones(len(size))])
+    solution = linprog(cost, A_ub=matrix, b_ub=limit, bounds=(None, None))
+    return np.zeros((free, terms)) if solution.x is None else np.asarray(solution.x[: free * terms]).reshape(free, terms)

@@ -7,11 +7,15 @@ where a constant would hold the worst case of the whole region against every sta
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Context, Decimal
+from itertools import islice, product
 
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from mfc_gym.branch_and_bound import Box, enclose
 
+Array = NDArray[np.float64]
 DIGITS = Context(prec=11, rounding=ROUND_CEILING)
 ROUNDING = 1e-12  # relative; the decimal ends of a declared interval are only known to 1e-16 as floats
 LIFTED = sp.Dummy("Delta_3", real=True)
@@ -37,6 +41,14 @@ class ThetaSet:
             direct = enclose(p, self.box, where=self.where, budget=200)
             low, high = max(low, direct[0]), min(high, direct[1])
         return round_up(max(-low, high))
+
+    def sample(self, functions: Sequence[sp.Expr]) -> Array:
+        """The functions of theta at the corners, edge and face centres of the box (the admissible ones), shape (m, functions)."""
+        axes = [(low, (low + high) / 2, high) for low, high in self.box.values()]
+        points = np.array(list(islice(product(*axes), 729)), dtype=float).reshape(-1, len(axes))
+        compiled = sp.lambdify(list(self.box), [*functions, *self.where], "numpy", dummify=True)
+        values = np.stack([np.broadcast_to(v, len(points)).astype(float) for v in compiled(*points.T)], axis=-1)
+        return values[(values[:, len(functions) :] <= ROUNDING).all(axis=-1), : len(functions)]
 
     @property
     def _lifted_box(self) -> Box:

@@ -1,0 +1,261 @@
+"""The vector environment: many episodes at once, rows of one array, stepped by the scalar environment's kernel."""
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from mfc_gym.nominal import NominalModel
+from mfc_gym.simulation import Simulation
+from mfc_gym.stepping import LANES
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+THREAD_WORK = 20_000  # substeps (and 4 more for the rest of a step) of all environments that pay for one more thread
+
+
+class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
+    """`num_envs` environments as `mfc_gym.env.TrackingEnv`, with its options, at once.
+
+    Seed s gives environment i, bit for bit, the episodes of a scalar environment seeded s + i; a list gives each its own.
+    `autoreset_mode` says what becomes of an environment whose episode has ended: NEXT_STEP begins the next one in the
+    next step, whose action is ignored; SAME_STEP begins it at once and leaves the end in `info["final_obs"]` and
+    `info["final_info"]`; DISABLED waits for `reset(options={"reset_mask": mask})`, which works in every mode. The other
+    options of `reset` hold for all environments or, with a leading axis of `num_envs`, for each.
+    `threads`: None for as many cores as pay.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        render_mode: None = None,
+        **options: Any,
+    ) -> None:
+        self.num_envs = _count("num_envs", num_envs)
+        if render_mode is not None:
+            raise ValueError(f"`render_mode` must be None, a vector environment draws nothing, got {render_mode!r}.")
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.simulation = Simulation.from_keywords(options)
+        if max_episode_steps is not None and max_episode_steps < self.simulation.steps:
+            raise ValueError(
+                f"`max_episode_steps` must be at least horizon / dt = {self.simulation.steps}, got {max_episode_steps}: "
+                "the environment owns its clock, set `horizon`."
+            )
+        self.single_action_space = self.simulation.action_space
+        self.single_observation_space = self.simulation.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.rows = np.full((num_envs, self.simulation.row_size), np.nan)  # one episode each, see `mfc_gym.stepping`
+        self._shape = (num_envs, *self.single_observation_space.shape)
+        self._streams = Streams(num_envs)
+        self._running = np.ones(num_envs, dtype=bool)  # False: the episode has ended, the next one has not begun
+        self._begun = False  # whether every environment has been reset
+        if threads is None:
+            work = num_envs * (self.simulation.substeps + 4)
+            threads = min(cores(), max(1, work // THREAD_WORK))
+        self._chunks = chunks(num_envs, _count("threads", threads))
+
+    @property
+    def nominal(self) -> NominalModel:
+        """What a controller may know."""
+        return self.simulation.nominal
+
+    @property
+    def dt(self) -> float:
+        """Sampling time, s."""
+        return self.simulation.dt
+
+    @property
+    def theta(self) -> Array:
+        """The true uncertain parameters of the episodes, shape (num_envs, p)."""
+        self._require_reset()
+        return self.simulation.row_theta(self.rows).copy()
+
+    @property
+    def reference_parameters(self) -> Array:
+        """The parameters of the episodes' references, shape (num_envs, r)."""
+        self._require_reset()
+        return self.simulation.row_reference(self.rows).copy()
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]  # as in SyncVectorEnv
+        """The generator of each environment."""
+        return tuple(self._streams(i) for i in range(self.num_envs))
+
+    @property
+    def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
+        """The seed of each environment."""
+        return tuple(self._streams.seed(i) for i in range(self.num_envs))
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        chosen = np.arange(self.num_envs)
+        if isinstance(options, Mapping) and "reset_mask" in options:
+            chosen = np.flatnonzero(self._mask(options["reset_mask"]))
+            options = {name: value for name, value in options.items() if name != "reset_mask"}
+        if seed is not None:
+            self._streams.reseed(chosen, self._seeds(seed))
+        self._begin(chosen, options)
+        self._running[chosen] = True
+        self._begun = not np.isnan(self.rows[:, -1]).any()
+        observations = np.empty(self._shape)
+        self.simulation.kernel.observe_all(self.rows, self.dt, np.ones(self.num_envs, dtype=bool), observations)
+        return observations, {}
+
+    def step(self, actions: Any) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+        self._require_reset()
+        values, active = self._actions(actions), self._running
+        if not active.all():
+            self._begin(np.flatnonzero(~active), None)
+        observations, rewards = np.empty(self._shape), np.empty(self.num_envs)
+        terminated, truncated = np.empty(self.num_envs, dtype=bool), np.empty(self.num_envs, dtype=bool)
+        self._advance(values, self.simulation.settings, active, observations, rewards, terminated, truncated)
+        ended = terminated | truncated
+        info = self._info(observations, terminated, ended) if ended.any() else {}
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            self._running = ~ended
+        elif info:
+            self._begin(np.flatnonzero(ended), None)
+            self.simulation.kernel.observe_all(self.rows, self.dt, ended, observations)
+        return observations, rewards, terminated, truncated, info
+
+    def _begin(self, chosen: NDArray[np.intp], options: Mapping[str, Any] | None) -> None:
+        self.rows[chosen] = self.simulation.begin(self._streams, options, chosen, self.num_envs)
+
+    def _advance(self, *arrays: Any) -> None:
+        """The kernel, the first chunk here and the others in further threads."""
+        advance = self.simulation.kernel.advance_all
+        first, *others = self._chunks
+        pending = [workers().submit(advance, self.rows, *arrays, *chunk) for chunk in others]
+        advance(self.rows, *arrays, *first)
+        for chunk in pending:
+            chunk.result()
+
+    def _info(self, observations: Array, terminated: Mask, ended: Mask) -> dict[str, Any]:
+        """What Gymnasium's vector environments make of the scalar environments' infos."""
+        success = ended & self.simulation.success(observations, terminated)
+        info: dict[str, Any] = {"is_success": success, "_is_success": ended.copy()}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            final = np.full(self.num_envs, None, dtype=object)
+            final[ended] = np.fromiter(observations[ended], dtype=object)
+            info = {"final_obs": final, "_final_obs": ended.copy(), "final_info": info, "_final_info": ended.copy()}
+        return info
+
+    # -- what is asked of the arguments -------------------------------------------------------------------------------
+
+    def _require_reset(self) -> None:
+        if not self._begun:
+            raise gym.error.ResetNeeded("Call reset before step.")
+        if self.autoreset_mode is AutoresetMode.DISABLED and not self._running.all():
+            raise gym.error.ResetNeeded(
+                f"The episode of environment {self._running.argmin()} has ended: call "
+                'reset(options={"reset_mask": terminated | truncated}) before step.'
+            )
+
+    def _actions(self, actions: Any) -> Array:
+        """A copy, shape (num_envs, 1), finite wherever an action counts."""
+        try:
+            given = np.asarray(actions)
+        except ValueError:  # ragged
+            given = np.array(None)
+        if given.shape != (self.num_envs, 1) or given.dtype.kind not in "fiu":
+            raise ValueError(
+                f"`actions` must be {self.num_envs} numbers, shape ({self.num_envs}, 1), "
+                f"got {actions!r} of shape {given.shape}."
+            )
+        values = np.array(given, dtype=np.float64, order="C")
+        finite = np.isfinite(values)
+        if not finite.all():
+            for i in np.flatnonzero(~finite[:, 0] & self._running)[:1]:
+                raise ValueError(f"`actions` must be finite, got {given[i, 0]} for environment {i}.")
+        return values
+
+    def _mask(self, mask: Any) -> Mask:
+        """Which environments to reset; errors as those of Gymnasium's own vector environments."""
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            raise TypeError(f'`options["reset_mask"]` must be a NumPy array of bool, got {mask!r}.')
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f'`options["reset_mask"]` must have shape ({self.num_envs},) and choose an environment, got {mask!r}.'
+            )
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None]) -> Sequence[int | None]:
+        """One seed for each environment; None: it goes on with its stream."""
+        seeds = seed if isinstance(seed, Sequence) else (seed,)
+        for value in seeds:
+            if value is not None and not (isinstance(value, int) and value >= 0):
+                seeding.np_random(value)  # raises Gymnasium's own error
+        if isinstance(seed, int):
+            return range(seed, seed + self.num_envs)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"`seed` must be an integer or {self.num_envs} of them, got {len(seeds)}.")
+        return seeds
+
+
+class Streams:
+    """The random stream of each environment: the one of a scalar environment with its seed, made when first drawn from."""
+
+    def __init__(self, num_envs: int) -> None:
+        self._seeds: list[int | None] = [None] * num_envs
+        self._made: dict[int, np.random.Generator] = {}
+
+    def __call__(self, i: int) -> np.random.Generator:
+        if i not in self._made:
+            self._made[i], self._seeds[i] = seeding.np_random(self._seeds[i])
+        return self._made[i]
+
+    def seed(self, i: int) -> int | None:
+        """Where the stream of environment i began."""
+        self(i)
+        return self._seeds[i]
+
+    def reseed(self, chosen: NDArray[np.intp], seeds: Sequence[int | None]) -> None:
+        """Begins the stream of each chosen environment anew, except where its seed is None."""
+        for i in chosen.tolist():
+            if seeds[i] is not None:
+                self._seeds[i] = seeds[i]
+                self._made.pop(i, None)
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def workers() -> ThreadPoolExecutor:
+    """The threads beside the caller's own, shared by all environments of the process."""
+    return ThreadPoolExecutor(max(1, cores() - 1), "mfc_gym")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=workers.cache_clear)  # threads do not survive a fork
+
+
+def chunks(num_envs: int, count: int) -> list[tuple[int, int]]:
+    """At most `count` spans [start, stop) of about the same length, in multiples of what the kernel takes at once."""
+    groups = -(-num_envs // LANES)
+    edges = [min(num_envs, LANES * round(groups * k / count)) for k in range(count + 1)]
+    return [(start, stop) for start, stop in pairwise(edges) if start < stop]
+
+
+def _count(name: str, value: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise ValueError(f"`{name}` must be an integer >= 1, got {value!r}.")
+    return value
