@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
 
@@ -90,12 +91,23 @@ def _stepwise(env: Any, policy: Any, observation: Array, batch: bool) -> Batch:
     observations, controls, rewards = [np.atleast_2d(observation)], [], []
     while running.any():
         action, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
-        observation, reward, terminated, truncated, _ = env.step(action)
+        observation, reward, terminated, truncated, info = env.step(action)
         start = np.zeros_like(start) if batch else None
         applied = limit * np.clip(np.asarray(action, dtype=float)[..., 0], -1.0, 1.0)
-        observations.append(np.where(running[:, None], np.atleast_2d(observation), np.nan))
+        observations.append(np.where(running[:, None], _reached(observation, info), np.nan))
         controls.append(np.where(running, applied, np.nan))
         rewards.append(np.where(running, np.asarray(reward), np.nan))
         terminated_at_all |= running & terminated
-        running = running & ~(np.asarray(terminated) | np.asarray(truncated))
+        ended = np.asarray(terminated) | np.asarray(truncated)
+        running = running & ~ended
+        if ended.any() and running.any() and env.metadata.get("autoreset_mode") == AutoresetMode.DISABLED:
+            observation, _ = env.reset(options={"reset_mask": ended})
     return np.array(observations), np.array(controls), np.array(rewards), terminated_at_all
+
+
+def _reached(observation: Array, info: dict[str, Any]) -> Array:
+    """The observations a step ended with, shape (B, 3n+1), also where the next episode has begun in the same step."""
+    reached = np.array(np.atleast_2d(observation))
+    for i in np.flatnonzero(info.get("_final_obs", False)):
+        reached[i] = info["final_obs"][i]
+    return reached

@@ -58,13 +58,14 @@ def saturation(s: float, a: float, b: float, d: float, Gamma: float, width: floa
 def average(s: float, a: float, b: float, Gamma: float) -> float:
     """Mean of the continuous-time v_L over the interval, to second order, from the s it starts at and a, its end for v_L = 0.
 
-    Reaching or staying on the surface it is the solution of v_L in -Gamma Sgn(a + b v_L), a projection. If the surface is
-    crossed for good, -Gamma sgn(s) acts for the fraction s / (s - a + b Gamma sgn(s)) of the interval, its opposite after that.
+    v_eq = (s - a) / b would hold s. If abs(v_eq) <= Gamma the surface is kept once reached: v_L in -Gamma Sgn(a + b v_L), whose
+    solution is a projection. Otherwise it may be crossed, after the fraction phi of the interval, and v_L changes sign there.
     """
-    v_L = -clip(a / b, Gamma)
-    if v_L * s > 0.0:
-        v_L *= 1.0 - 2.0 * s / (s - a + math.copysign(b * Gamma, s))
-    return v_L
+    v_eq = (s - a) / b
+    if s * v_eq > 0.0 and abs(v_eq) > Gamma:
+        phi = min(abs(s) / (b * (abs(v_eq) + Gamma)), 1.0)
+        return math.copysign(1.0, s) * Gamma * (1.0 - 2.0 * phi)
+    return -clip(a / b, Gamma)
 
 
 @njit

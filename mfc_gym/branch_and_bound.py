@@ -18,7 +18,7 @@ from mfc_gym.interval_function import Ends, IntervalFunction
 
 Box = Mapping[sp.Symbol, Ends]
 Point = Mapping[sp.Symbol, float]
-BUDGET = 1000  # bisections
+BUDGET = 400_000  # interval operations, some 2.5 microseconds each
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,10 @@ def enclose(
     Refined until both ends are attained up to `tolerance` (relative above 1) or the budget is spent; valid in either case.
     (inf, -inf) says that no point of the box satisfies `where`.
     """
-    low, high = (_Search(sign * sp.sympify(expr), box, where) for sign in (-1, 1))
+    problem = _Problem(sp.sympify(expr), box, where)
+    low, high = (_Search(problem, sign, -inf, budget // 2) for sign in (-1, 1))
     for search in (low, high):
-        search.run(budget, lambda s: s.upper <= s.attained + tolerance * max(1.0, abs(s.attained)))
+        search.run(lambda s: s.upper <= s.attained + tolerance * max(1.0, abs(s.attained)))
     return 0.0 - low.upper, high.upper
 
 
@@ -57,8 +58,8 @@ def prove_bound(
 ) -> Verdict:
     """expr <= bound + tolerance, or expr < bound if `strict`, on the part of `box` where every `where` is <= 0."""
     limit = -1e-280 if strict else tolerance
-    search = _Search(sp.sympify(expr) - sp.sympify(bound), box, where, limit)
-    search.run(budget, lambda s: s.upper <= limit or s.attained > limit)
+    search = _Search(_Problem(sp.sympify(expr) - sp.sympify(bound), box, where), 1, limit, budget)
+    search.run(lambda s: s.upper <= limit or s.attained > limit)
     if search.attained >= 0 if strict else search.attained > limit:
         return Verdict("refuted", search.attained, search.point)
     if search.upper <= limit:
@@ -67,24 +68,33 @@ def prove_bound(
     return Verdict("undecided", search.upper, {s: (a + b) / 2 for s, (a, b) in left.items()}, left)
 
 
-class _Search:
-    """Best-first search for the supremum of `expr` over the part of a box where every `where` is <= 0."""
+class _Problem:
+    """`expr` with its gradient, and the expressions `where`, as interval functions on a box."""
 
-    def __init__(self, expr: sp.Expr, box: Box, where: Sequence[sp.Expr], limit: float = -inf) -> None:
+    def __init__(self, expr: sp.Expr, box: Box, where: Sequence[sp.Expr]) -> None:
         self.symbols = sorted(expr.free_symbols.union(*(w.free_symbols for w in where)), key=lambda s: s.name)
         if missing := [s.name for s in self.symbols if s not in box]:
             raise ValueError(f"`box` must have an interval for every symbol of the expression, {missing} have none.")
-        self.function = IntervalFunction([expr, *(sp.diff(expr, s) for s in self.symbols)], self.symbols)
+        self.gradient = IntervalFunction([expr, *(sp.diff(expr, s) for s in self.symbols)], self.symbols)
         self.value = IntervalFunction([expr], self.symbols)
         self.where = IntervalFunction(where, self.symbols)
         self.constrained = len(where) > 0
-        self.initial = [(float(a), float(b)) for a, b in (box[s] for s in self.symbols)]
-        self.attained, self.point = -inf, dict[sp.Symbol, float]()  # the largest value found, and where
+        self.box = [(float(a), float(b)) for a, b in (box[s] for s in self.symbols)]
+        self.cost = 2 * (len(self.gradient) + 3 * len(self.value) + 2 * len(self.where) + 40)  # of a bisection
+
+
+class _Search:
+    """Best-first search for the supremum of sign * expr over the part of the box where every `where` is <= 0."""
+
+    def __init__(self, problem: _Problem, sign: int, limit: float, budget: int) -> None:
+        self.problem, self.sign = problem, sign
         self.limit = limit  # a box that does not exceed it needs no further bisection
+        self.bisections = max(5, budget // problem.cost)
+        self.attained, self.point = -inf, dict[sp.Symbol, float]()  # the largest value found, and where
         self.settled = -inf  # the largest upper end of the boxes put aside
         self.heap: list[tuple[float, int, list[Ends], list[Ends]]] = []
         self.order = count()
-        self._push(self.initial)
+        self._push(problem.box)
 
     @property
     def upper(self) -> float:
@@ -93,10 +103,10 @@ class _Search:
 
     @property
     def worst(self) -> Box:
-        return dict(zip(self.symbols, self.heap[0][2] if self.heap else self.initial, strict=True))
+        return dict(zip(self.problem.symbols, self.heap[0][2] if self.heap else self.problem.box, strict=True))
 
-    def run(self, budget: int, done: Callable[["_Search"], bool]) -> None:
-        for _ in range(budget):
+    def run(self, done: Callable[["_Search"], bool]) -> None:
+        for _ in range(self.bisections):
             if not self.heap or done(self):
                 return
             _, _, box, slope = heappop(self.heap)
@@ -105,17 +115,20 @@ class _Search:
             for half in ((low, (low + high) / 2), ((low + high) / 2, high)):
                 self._push([*box[:i], half, *box[i + 1 :]])
 
+    def _signed(self, values: list[Ends]) -> list[Ends]:
+        return values if self.sign > 0 else [(-b, -a) for a, b in values]
+
     def _push(self, box: list[Ends]) -> None:
         """Bound the box from above, look for a large value in it, and keep it if it may contain a larger one."""
-        if any(low > 0 for low, _ in self.where(box)):
+        if any(low > 0 for low, _ in self.problem.where(box)):
             return
-        (_, upper), *slope = self.function(box)
+        (_, upper), *slope = self._signed(self.problem.gradient(box))
         if isfinite(upper):
             face = [_end(ends, s) for ends, s in zip(box, slope, strict=True)]
-            upper = min(upper, self.value(face)[0][1])
-            box = box if self.constrained else face
+            upper = min(upper, self._signed(self.problem.value(face))[0][1])
+            box = box if self.problem.constrained else face
             upper = min(upper, self._visit([(a + b) / 2 for a, b in face], face, slope))
-        if self.constrained or not isfinite(upper):
+        if self.problem.constrained or not isfinite(upper):
             self._visit([(a + b) / 2 for a, b in box], box, slope)
         if upper <= self.limit or all(a == b or not a < (a + b) / 2 < b for a, b in box):
             self.settled = max(self.settled, upper)
@@ -125,10 +138,11 @@ class _Search:
     def _visit(self, point: list[float], box: list[Ends], slope: list[Ends]) -> float:
         """Upper end of the mean value form about `point`; its value counts as attained if `where` certainly holds."""
         degenerate = [(p, p) for p in point]
-        low, high = self.value(degenerate)[0]
-        if low > self.attained and all(w <= 0 for _, w in self.where(degenerate)):
-            self.attained, self.point = low, dict(zip(self.symbols, point, strict=True))
-        terms = [max(s * (b - p), r * (a - p)) if a < b else 0.0 for (a, b), (r, s), p in zip(box, slope, point, strict=True)]
+        low, high = self._signed(self.problem.value(degenerate))[0]
+        if low > self.attained and all(w <= 0 for _, w in self.problem.where(degenerate)):
+            self.attained, self.point = low, dict(zip(self.problem.symbols, point, strict=True))
+        changes = zip(box, slope, point, strict=True)
+        terms = [max(s * (b - p), r * (a - p)) if a < b else 0.0 for (a, b), (r, s), p in changes]
         # the last term covers the rounding of this sum
         return high + sum(terms) + 1e-14 * (abs(high) + sum(map(abs, terms)))
 
@@ -136,11 +150,11 @@ class _Search:
         """The coordinate to bisect: largest estimated change; relative width where the slope says nothing."""
         width = [b - a for a, b in box]
         change = [w * max(-r, s) if w > 0 else 0.0 for w, (r, s) in zip(width, slope, strict=True)]
-        share = [w / (b - a) if b > a else 0.0 for w, (a, b) in zip(width, self.initial, strict=True)]
+        share = [w / (b - a) if b > a else 0.0 for w, (a, b) in zip(width, self.problem.box, strict=True)]
         total = sum(change)
         if not isfinite(total) or total == 0:
             return share.index(max(share))
-        score = [c / total + 0.5 * self.constrained * s for c, s in zip(change, share, strict=True)]
+        score = [c / total + 0.5 * self.problem.constrained * s for c, s in zip(change, share, strict=True)]
         return score.index(max(score))
 
 

@@ -1,8 +1,17 @@
-"""How large an expression is, and how large it may get: asked before anything is multiplied out or simplified."""
+"""How large an expression is and how large it gets: asked before anything is differentiated, multiplied out or simplified."""
 
+from collections.abc import Sequence
 from math import comb
 
+import numpy as np
 import sympy as sp
+
+from mfc_gym.flat_system import lie
+
+NODES = 1500  # of a Lie derivative
+TERMS = 3000  # of a Lie derivative when multiplied out
+SIMPLIFIED = 60  # nodes of an expression that may be handed to `sympy.simplify`
+DETERMINANT = 20_000  # terms of a Jacobian determinant when multiplied out
 
 
 def node_count(expression: sp.Basic) -> int:
@@ -25,3 +34,65 @@ def expanded_terms(expression: sp.Expr) -> int:
         terms, n = expanded_terms(expression.base), abs(int(expression.exp))
         return comb(terms + n - 1, n)
     return max(map(expanded_terms, expression.args))
+
+
+def check_derivatives(
+    f: Sequence[sp.Expr], g: Sequence[sp.Expr], h: sp.Expr, Delta: Sequence[sp.Expr], x: Sequence[sp.Symbol]
+) -> None:
+    """The relative degree conditions of `FlatSystem`, each step of bounded cost: eq. (2) and (3) of its reference.
+
+    Raises ValueError, naming the entry, for an expression that grows too large or a condition that does not hold.
+    """
+    n = len(x)
+    drift = [a + b for a, b in zip(f, Delta, strict=True)]
+    for field, name, label in ((f, "f", "f"), (drift, "Delta", "(f+Delta)")):
+        phi = h
+        gradients = []
+        for k in range(n):
+            gradients.append([sp.diff(phi, s) for s in x])
+            term = lie(g, phi, x)
+            _require_moderate([phi, term], name)
+            zero = _vanishes(term, name)
+            if zero != (k < n - 1):
+                culprit = "Delta" if name == "Delta" else "g" if zero else "h"
+                raise ValueError(
+                    f"`{culprit}` must give relative degree n = {n}: L_g L_{label}^{k} h must be "
+                    f"{'zero' if k < n - 1 else 'nonzero'}, got {'0' if zero else str(term)[:80]}."
+                )
+            phi = lie(field, phi, x)
+        _require_moderate([phi], name)
+        if _permanent(np.array([[0 if e == 0 else expanded_terms(e) for e in row] for row in gradients])) > DETERMINANT:
+            raise ValueError(f"`{name}` must be simpler: the Jacobian of tau is too large to be checked.")
+
+
+def _require_moderate(expressions: Sequence[sp.Expr], name: str) -> None:
+    if any(node_count(e) > NODES or expanded_terms(e) > TERMS for e in expressions):
+        raise ValueError(f"`{name}` must be simpler: the Lie derivatives of h grow too large.")
+
+
+def _vanishes(term: sp.Expr, name: str) -> bool:
+    """Whether `term` is identically zero, without simplifying anything large."""
+    expanded = sp.expand(term)
+    if expanded == 0:
+        return True
+    symbols = sorted(expanded.free_symbols, key=lambda s: s.name)
+    for i in range(1, 6):
+        value = expanded.subs({s: sp.Rational(7 * i + 3 * j + 1, 11 + i * j) for j, s in enumerate(symbols)}).evalf(30)
+        if value.is_finite and abs(value) > sp.Float("1e-20"):
+            return False
+    if node_count(expanded) > SIMPLIFIED:
+        raise ValueError(f"`{name}` must be simpler: whether {str(term)[:60]} vanishes cannot be decided.")
+    return bool(sp.simplify(expanded) == 0)
+
+
+def _permanent(matrix: np.ndarray) -> float:
+    """Number of terms of a determinant whose entries have so many terms each (expansion over subsets of columns)."""
+    counts = {0: 1.0}
+    for row in matrix:
+        following: dict[int, float] = {}
+        for used, terms in counts.items():
+            for j in np.flatnonzero(row):
+                if not used >> int(j) & 1:
+                    following[used | 1 << int(j)] = following.get(used | 1 << int(j), 0.0) + terms * float(row[j])
+        counts = following
+    return sum(counts.values())

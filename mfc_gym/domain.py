@@ -7,6 +7,8 @@ import sympy as sp
 from mfc_gym.branch_and_bound import Box, Point, prove_bound
 from mfc_gym.interval_function import REALS, IntervalFunction
 
+BUDGET = 100_000  # interval operations per subexpression
+
 
 def requirements(expression: sp.Expr) -> Iterator[tuple[sp.Expr, str]]:
     """(q, "positive", "nonnegative" or "nonzero") for every q on which the real value of `expression` depends."""
@@ -24,41 +26,46 @@ def requirements(expression: sp.Expr) -> Iterator[tuple[sp.Expr, str]]:
             yield 1 - e.args[0] ** 2, "nonnegative"
 
 
-def undefined_at(expressions: Iterable[sp.Expr], box: Box, budget: int = 500) -> str | None:
+def undefined_at(expressions: Iterable[sp.Expr], box: Box) -> str | None:
     """None if all expressions are proved to be defined on `box`, else a clause that says which part is not, and where."""
     done = set()
     for expression in expressions:
         symbols = sorted(expression.free_symbols, key=lambda s: s.name)
         if IntervalFunction([expression], symbols)([box[s] for s in symbols])[0] != REALS:
             continue
-        for requirement in requirements(expression):
-            if requirement not in done and (clause := _violation(*requirement, box, budget)):
+        for q, kind in requirements(expression):
+            if (q, kind) not in done and (clause := _violation(q, kind, box)):
                 return clause
-            done.add(requirement)
+            done.add((q, kind))
     return None
 
 
-def zero_at(q: sp.Expr, box: Box, budget: int = 500) -> str | None:
+def zero_at(q: sp.Expr, box: Box) -> str | None:
     """None if the continuous q is proved to have no zero in `box`, else a clause that says where it may vanish."""
-    return _violation(q, "nonzero", box, budget)
+    return _violation(q, "nonzero", box)
 
 
-def _violation(q: sp.Expr, kind: str, box: Box, budget: int) -> str | None:
-    if kind == "nonzero":
+def _violation(q: sp.Expr, kind: str, box: Box) -> str | None:
+    sign = 1
+    if kind == "nonzero":  # q is continuous: it keeps the sign it has at the centre of the box
         symbols = sorted(q.free_symbols, key=lambda s: s.name)
         centre = {s: (box[s][0] + box[s][1]) / 2 for s in symbols}
         low, high = IntervalFunction([q], symbols)([(centre[s], centre[s]) for s in symbols])[0]
         if low <= 0 <= high:
-            return f"{q} vanishes or is not defined {_place(centre)}"
-        q, want = (q, "nonzero") if low > 0 else (-q, "nonzero")
-    else:
-        want = kind
-    verdict = prove_bound(-q, 0, box, strict=kind != "nonnegative", budget=budget)
+            return f"{_short(q)} vanishes or is not defined {_place(centre)}"
+        sign = 1 if low > 0 else -1
+    verdict = prove_bound(-sign * q, 0, box, strict=kind != "nonnegative", budget=BUDGET)
     if verdict.status == "proved":
         return None
-    certainty = "is not" if verdict.status == "refuted" else "could not be shown to be"
-    name = q if kind != "nonzero" or not q.could_extract_minus_sign() else -q
-    return f"{name} {certainty} {want} {_place(verdict.point or {})}"
+    changes = "changes its sign or vanishes" if kind == "nonzero" else f"is not {kind}"
+    if verdict.status == "undecided":
+        changes = f"could not be shown to be {kind}, e.g."
+    return f"{_short(q)} {changes} {_place(verdict.point or {})}"
+
+
+def _short(q: sp.Expr) -> str:
+    text = str(q)
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _place(point: Point) -> str:

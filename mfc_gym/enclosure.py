@@ -10,7 +10,7 @@ theta of the declared box with abs(Delta_3) <= delta_3; Theorem 2 of [1] needs d
 import numpy as np
 import sympy as sp
 
-from mfc_gym.branch_and_bound import Box, Point, Verdict, enclose, prove_bound
+from mfc_gym.branch_and_bound import BUDGET, Box, Point, Verdict, enclose, prove_bound
 from mfc_gym.domain import undefined_at, zero_at
 from mfc_gym.falsification import Counterexample, falsify
 from mfc_gym.flat_system import BOUNDS, FlatSystem
@@ -74,7 +74,7 @@ def _derived(u: Uncertainty, name: str) -> sp.Expr:
     return round_up(max(-low, high))
 
 
-def check_bounds(system: FlatSystem, *, rng: np.random.Generator | None = None, budget: int = 200) -> dict[str, Verdict]:
+def check_bounds(system: FlatSystem, *, rng: np.random.Generator | None = None, budget: int = BUDGET) -> dict[str, Verdict]:
     """The verdict on every declared bound, "proved" or "undecided" (no counterexample found).
 
     Raises ValueError with a counterexample if a bound does not hold, if delta_3 may reach 1, or if no theta is admissible;
@@ -96,7 +96,7 @@ def _check_default_theta(u: Uncertainty) -> None:
     task = u.system.task
     theta = task.theta or [(low + high) / 2 for low, high in u.theta_box.values()]
     at_default = {s: sp.Rational(value) for s, value in zip(u.theta_box, theta, strict=True)}
-    verdict = _two_sided(u.Delta_3.subs(at_default), u.delta_3, u.region, [], 50)
+    verdict = _two_sided(u.Delta_3.subs(at_default), u.delta_3, u.region, [], 20_000)
     if verdict.status == "refuted":
         raise ValueError(f"`theta` of the task must keep abs(Delta_3) <= delta_3 = {u.delta_3}, got {tuple(theta)}.")
 
@@ -105,13 +105,13 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
     if name == "delta_3" and u.uniform:
         return Verdict("proved", 0.0)  # it is what makes a theta admissible
     numerator, denominator = u.quotient(name)
-    tolerance = TOLERANCE * max(1.0, min(1e9, enclose(bound, u.region, budget=10)[1]))
+    tolerance = TOLERANCE * max(1.0, min(1e9, enclose(bound, u.region, budget=4000)[1]))
     if denominator == 1 or u.uniform:
         if proves(bound, numerator, denominator, u.region, u.theta, TOLERANCE):
             return Verdict("proved", 0.0)
         triangle = triangle_bound(numerator, u.theta, denominator)
         if triangle is not None:
-            verdict = prove_bound(triangle, bound, u.region, tolerance=tolerance, budget=budget)
+            verdict = prove_bound(triangle, bound, u.region, tolerance=tolerance, budget=budget // 4)
             if verdict.status == "proved":
                 return verdict
     found = falsify(sp.Abs(numerator), bound * denominator, u.box, rng, where=u.where, tolerance=tolerance)

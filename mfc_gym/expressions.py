@@ -30,6 +30,7 @@ OPERATORS: dict[type[ast.AST], Callable[[sp.Expr, sp.Expr], sp.Expr]] = {
     ast.Pow: lambda a, b: a**b,
 }
 LENGTH, TOKENS, DEPTH, TERMS = 2000, 500, 80, 2000  # of the text, in it, of the tree, after multiplying out
+CALL = 15  # what a function call counts for in depth: at most 5 calls within each other
 EXPONENT, DENOMINATOR = 16, 12  # largest abs(exponent), and denominator of a fractional one
 MAGNITUDE = 30  # decimal orders of a constant other than 0
 TOKEN = re.compile(r"(?P<number>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?(?![\w.]))|(?P<name>[A-Za-z_]\w*)|\*\*|[-+*/^(),]", re.ASCII)
@@ -101,7 +102,7 @@ class _Reader:
         if depth > DEPTH:
             raise self.refusal("the expression is too deeply nested", column)
         expression = self._build(node, depth + 1, column)
-        if reason := _reason_against(expression):
+        if reason := reason_against(expression):
             raise self.refusal(reason, column)
         return expression
 
@@ -125,12 +126,13 @@ class _Reader:
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                 function, least, largest = FUNCTIONS[name]
                 if not least <= len(args) <= largest:
-                    raise self.refusal(f"{name} takes {least} to {largest} arguments, got {len(args)}", column)
-                values = [self.build(arg, depth) for arg in args]
+                    wanted = f"{least} to {largest} arguments" if largest > 1 else "one argument"
+                    raise self.refusal(f"{name} takes {wanted}, got {len(args)}", column)
+                values = [self.build(arg, depth + CALL) for arg in args]
                 if function in GROWING + PERIODIC and any(v.has(*GROWING) for v in values):
                     raise self.refusal(f"{name} of an exponential grows too fast", column)
                 return function(*values)
-        raise self.refusal(f"a {type(node).__name__.lower()} is not allowed here", column)
+        raise self.refusal("this is no arithmetic expression", column)
 
 
 def _moderate(number: str) -> bool:
@@ -142,7 +144,8 @@ def _small_rational(exponent: sp.Expr) -> bool:
     return isinstance(exponent, sp.Rational) and abs(exponent) <= EXPONENT and exponent.q <= DENOMINATOR
 
 
-def _reason_against(expression: sp.Expr) -> str | None:
+def reason_against(expression: sp.Expr) -> str | None:
+    """Why an expression is not a finite real one of moderate size, None if it is."""
     if expression.has(sp.zoo, sp.nan, sp.oo, -sp.oo, sp.I):
         return "this is not a finite real number"
     if any(not _small_rational(power.exp) for power in expression.atoms(sp.Pow)):

@@ -41,6 +41,10 @@ class IntervalFunction:
                 values.append(None)
         return [_floats(values[i]) for i in self._outputs]
 
+    def __len__(self) -> int:
+        """Number of operations."""
+        return len(self._tape)
+
     def _place(self, e: sp.Expr) -> int:
         """Where the value of `e` stands; written to the tape if it is not there yet."""
         if e not in self._index:

@@ -40,10 +40,10 @@ def proves(bound: sp.Expr, expression: sp.Expr, divisor: sp.Expr, region: Box, t
     parts = coefficients(expression, list(theta.box))
     if not terms or parts is None or node_count(expression) + sum(map(node_count, terms)) > SIZE:
         return False
-    if any(enclose(t, region, budget=10)[0] < 0 for t in terms):
+    if any(enclose(t, region, budget=4000)[0] < 0 for t in terms):
         return False
     numbers, rests = zip(*(t.as_coeff_Mul() for t in terms), strict=True)
-    directions = [rest.replace(sp.Abs, lambda argument: argument) for rest in rests]
+    directions = [sp.Mul(*map(_without_abs, sp.Mul.make_args(rest))) for rest in rests]
     forms = _monomials([*directions, *parts.values()])
     weights = theta.sample([p / divisor for p in parts])
     solution = _solve(forms, [float(abs(number)) for number in numbers], weights)
@@ -51,6 +51,11 @@ def proves(bound: sp.Expr, expression: sp.Expr, divisor: sp.Expr, region: Box, t
         return False
     shares = (sp.cancel(sp.Add(*(r * p for r, p in zip(row, parts, strict=True))) / divisor) for row in solution)
     return all(theta.supremum(s) <= abs(number) * (1 + tolerance) for s, number in zip(shares, numbers, strict=True))
+
+
+def _without_abs(factor: sp.Expr) -> sp.Expr:
+    base, exponent = factor.as_base_exp()
+    return base.args[0] ** exponent if isinstance(base, sp.Abs) and exponent.is_Integer else factor
 
 
 def _monomials(expressions: Sequence[sp.Expr]) -> list[dict[sp.Expr, sp.Expr]]:

@@ -14,9 +14,12 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from mfc_gym.branch_and_bound import Box, enclose
+from mfc_gym.complexity import node_count
 
+SIZE = 800  # nodes of an expression that is multiplied out and factored
 Array = NDArray[np.float64]
 DIGITS = Context(prec=11, rounding=ROUND_CEILING)
+BUDGET = 40_000  # interval operations per supremum
 ROUNDING = 1e-12  # relative; the decimal ends of a declared interval are only known to 1e-16 as floats
 LIFTED = sp.Dummy("Delta_3", real=True)
 
@@ -36,9 +39,9 @@ class ThetaSet:
     def supremum(self, p: sp.Expr) -> sp.Expr:
         """sup abs(p(theta)) over the set, rounded up to eleven digits."""
         lifted = p if self.delta_3 is None else self._lift(p)
-        low, high = enclose(lifted, self._lifted_box, tolerance=1e-9, budget=200)
+        low, high = enclose(lifted, self._lifted_box, tolerance=1e-9, budget=BUDGET)
         if lifted.free_symbols - {LIFTED} and self.delta_3 is not None:
-            direct = enclose(p, self.box, where=self.where, budget=200)
+            direct = enclose(p, self.box, where=self.where, budget=BUDGET)
             low, high = max(low, direct[0]), min(high, direct[1])
         return round_up(max(-low, high))
 
@@ -86,7 +89,7 @@ def coefficients(expression: sp.Expr, theta: Sequence[sp.Symbol]) -> dict[sp.Exp
 
 def triangle_bound(expression: sp.Expr, theta: ThetaSet, divisor: sp.Expr = sp.S.One) -> sp.Expr | None:
     """A bound of abs(expression / divisor(theta)) for every admissible theta, None if the expression does not separate."""
-    parts = coefficients(expression, list(theta.box))
+    parts = coefficients(expression, list(theta.box)) if node_count(expression) <= SIZE else None
     if parts is None:
         return None
     separated: dict[sp.Expr, sp.Expr] = {}  # the parts whose c_j differ by a number only are taken together
