@@ -10,7 +10,7 @@ from mfc_gym.flat_system import lie
 
 NODES = 1500  # of a Lie derivative
 TERMS = 3000  # of a Lie derivative when multiplied out
-SIMPLIFIED = 60  # nodes of an expression that may be handed to `sympy.simplify`
+SIMPLIFIED = 25  # nodes of an expression that may be handed to `sympy.simplify`
 DETERMINANT = 20_000  # terms of a Jacobian determinant when multiplied out
 
 

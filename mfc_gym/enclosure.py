@@ -68,7 +68,7 @@ def _derived(u: Uncertainty, name: str) -> sp.Expr:
     numerator, denominator = u.quotient(name)
     if (denominator == 1 or u.uniform) and (bound := triangle_bound(numerator, u.theta, denominator)) is not None:
         return bound
-    low, high = enclose(numerator / denominator, u.box, where=u.where)
+    low, high = enclose(numerator / denominator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
     if not max(-low, high) < float("inf"):
         raise ValueError(f"`bounds` must give {name}: what it bounds could not be enclosed over region and theta.")
     return round_up(max(-low, high))

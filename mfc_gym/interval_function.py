@@ -7,14 +7,15 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import sympy as sp
-from mpmath import iv, libmp
+from mpmath import libmp
+from mpmath.libmp import libmpi
 
-from mfc_gym.interval import FUNCTIONS, Interval, Undefined, ends, exponential, logarithm, make, power, root_power, step
+from mfc_gym.interval import BITS, FUNCTIONS, Interval, Undefined, general_power, power, rational, root_power, step
 
 Ends = tuple[float, float]
 REALS: Ends = (float("-inf"), float("inf"))
 HUGE, TINY = 1e300, 1e-290
-CONSTANTS: dict[sp.Expr, Callable[[], Interval]] = {sp.pi: lambda: +iv.pi, sp.E: lambda: +iv.e}
+CONSTANTS: dict[sp.Expr, Interval] = {sp.pi: libmpi.mpi_pi(BITS), sp.E: libmpi.mpi_exp(libmpi.mpi_one, BITS)}
 
 
 class IntervalFunction:
@@ -32,11 +33,11 @@ class IntervalFunction:
 
     def __call__(self, box: Sequence[Ends]) -> list[Ends]:
         """(low, high) of every expression over the box, one (low, high) per symbol."""
-        values: list[Interval | None] = [make(libmp.from_float(a), libmp.from_float(b)) for a, b in box]
+        values: list[Interval | None] = [(libmp.from_float(a), libmp.from_float(b)) for a, b in box]
         for operation, places in self._tape:
             arguments = [values[i] for i in places]
             try:
-                values.append(None if None in arguments else operation(*arguments))
+                values.append(None if any(a is None for a in arguments) else operation(*arguments))
             except Undefined:
                 values.append(None)
         return [_floats(values[i]) for i in self._outputs]
@@ -57,12 +58,11 @@ class IntervalFunction:
 
 def _operation(e: sp.Expr) -> tuple[Callable[..., Interval], tuple[sp.Expr, ...]]:
     if isinstance(e, sp.Rational):
-        value = iv.mpf(e.p) / iv.mpf(e.q)
-        return (lambda: value), ()
+        return partial(_constant, rational(e)), ()
     if isinstance(e, sp.Float):
-        return (lambda: +make(e._mpf_, e._mpf_)), ()
+        return partial(_constant, libmpi.mpi_pos((e._mpf_, e._mpf_), BITS)), ()
     if e in CONSTANTS:
-        return CONSTANTS[e], ()
+        return partial(_constant, CONSTANTS[e]), ()
     if e.is_Symbol:
         raise ValueError(f"`box` must have an interval for every symbol of the expression, {e} has none.")
     if e.is_Pow:
@@ -70,10 +70,14 @@ def _operation(e: sp.Expr) -> tuple[Callable[..., Interval], tuple[sp.Expr, ...]
             return partial(power, int(e.exp)), (e.base,)
         if e.exp.is_Rational:
             return partial(root_power, e.exp), (e.base,)
-        return (lambda base, exponent: exponential(logarithm(base) * exponent)), (e.base, e.exp)
+        return general_power, (e.base, e.exp)
     if isinstance(e, sp.Heaviside):
-        return partial(step, 0), e.args[:1]
+        return partial(step, libmp.fzero), e.args[:1]
     return FUNCTIONS.get(e.func, _unsupported), e.args if e.func in FUNCTIONS else ()
+
+
+def _constant(value: Interval) -> Interval:
+    return value
 
 
 def _unsupported() -> Interval:
@@ -83,7 +87,7 @@ def _unsupported() -> Interval:
 def _floats(x: Interval | None) -> Ends:
     if x is None:
         return REALS
-    low, high = map(libmp.to_float, ends(x))
+    low, high = map(libmp.to_float, x)
     if not -HUGE < low <= high < HUGE:
         return REALS
     # below the normal numbers a float has fewer than 53 bits

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from mfc_gym.flat_system import FlatSystem
 
 Array = NDArray[np.float64]
-GENERATORS = (
+GENERATORS = (  # the modules that take part in writing kernels
     *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity"),
     *("enclosure", "interval", "interval_function", "branch_and_bound"),
+    *("domain", "falsification", "termwise", "triangle", "uncertainty"),
 )
 
 

@@ -91,7 +91,7 @@ def advance_one(row, action, settings):
 
 @njit(error_model="numpy")
 def integrate_lanes(x, theta, u, inside, settings):
-    """`integrate` of {lanes} rows side by side; x (n, {lanes}) and `inside` are updated, a row that is not inside stays."""
+    """`integrate` of {lanes} episodes side by side; x (n, {lanes}) and `inside` are updated, what is not inside stays."""
     substeps, low, high = int(settings[1]), {low}, {high}
     h = settings[0] / substeps
     for _ in range(substeps):
@@ -104,40 +104,68 @@ def integrate_lanes(x, theta, u, inside, settings):
 
 
 @njit(cache=True, nogil=True)
-def advance_all(rows, actions, settings, active, observations, rewards, terminated, truncated, start, stop):
-    """`advance` of the rows start to stop. A row that is not active is observed as it is; its action does not count."""
-    x, theta, u, inside = np.empty(({n}, {lanes})), np.empty(({p}, {lanes})), np.empty({lanes}), np.empty({lanes}, np.bool_)
+def advance_all(
+    columns, actions, settings, active, given, table, observations, rewards, terminated, truncated, start, stop
+):
+    """`advance` of the episodes start to stop; one that is not active is observed as it is, its action does not count.
+
+    Episodes are columns here (row, N); N, and the length of `active`, is a multiple of {lanes}, as is `start`. Where the
+    reference's parameters are those given, (r,), it is read from the table (samples, n+1).
+    """
+    x, theta, u, inside = np.empty(({n}, {lanes})), np.empty(({p}, {lanes})), np.zeros({lanes}), np.empty({lanes}, np.bool_)
     for first in range(start, stop, {lanes}):
+        count = min({lanes}, stop - first)
+        tabulated = True
         for j in range({lanes}):
-            i = min(first + j, stop - 1)
-            {lane_arguments} = {start_of_rows}
-            u[j] = saturated(actions[i, 0], settings)
+            i = np.uintp(first + j)
+            {lane_arguments} = {start_of_columns}
             inside[j] = active[i]
+            columns[{clock}, i] += 1.0 if active[i] else 0.0
+        for j in range(count):
+            i = np.uintp(first + j)
+            u[j] = saturated(actions[i], settings)
+            tabulated = tabulated & {same_reference} & (columns[{clock}, i] < table.shape[0])
         integrate_lanes(x, theta, u, inside, settings)
-        for j in range(min({lanes}, stop - first)):
-            i = first + j
-            {state_of_rows} = {state_of_lanes}
+        for j in range({lanes}):
+            i = np.uintp(first + j)
+            {state_of_columns} = {state_of_lanes}
+        for j in range(count):
+            i = np.uintp(first + j)
             {observed_states} = {state_of_lanes}
-            {observed_derivatives_of_rows} = output_derivatives({lane_arguments})
-            rows[i, {clock}] += 1.0 if active[i] else 0.0
-            if i > start and {same_reference}:
-                for k in range({reference_start}, {size}):
-                    observations[i, k] = observations[i - 1, k]
-            else:
-                observe_reference(rows[i], rows[i, {clock}] * settings[0], observations[i])
-            rewards[i], terminated[i], truncated[i] = 0.0, False, False
-            if active[i]:
-                error = observations[i, {output}] - observations[i, {reference_start}]
-                rewards[i], terminated[i], truncated[i] = conclude(error, u[j], inside[j], rows[i, {clock}], settings)
+            {observed_derivatives_of_lanes} = output_derivatives({lane_arguments})
+        if tabulated:
+            for j in range(count):
+                i = np.uintp(first + j)
+                k = np.uintp(columns[{clock}, i])
+                {observed_references} = {references_of_table}
+        else:
+            for i in range(first, first + count):
+                reference(columns[{clock}, i] * settings[0], columns[{reference_slice}, i], observations[i, {reference_start}:])
+        for j in range(count):
+            i = np.uintp(first + j)
+            error = observations[i, {output}] - observations[i, {reference_start}]
+            gain, ends, is_last = conclude(error, u[j], inside[j], columns[{clock}, i], settings)
+            rewards[i] = gain if active[i] else 0.0
+            terminated[i] = ends & active[i]
+            truncated[i] = is_last & active[i]
 
 
 @njit(cache=True, nogil=True)
-def observe_all(rows, dt, chosen, observations):
-    """The observations of the chosen rows as they are."""
-    for i in range(rows.shape[0]):
+def tabulate(parameters, dt, table):
+    """The reference at the samples 0, 1, ..."""
+    for k in range(table.shape[0]):
+        reference(k * dt, parameters, table[k])
+
+
+@njit(cache=True, nogil=True)
+def observe_all(columns, dt, chosen, observations):
+    """The observations of the chosen episodes as they are."""
+    row = np.empty({clock} + 1)
+    for i in range(observations.shape[0]):
         if chosen[i]:
-            observe_plant(rows[i], observations[i])
-            observe_reference(rows[i], rows[i, {clock}] * dt, observations[i])
+            row[:] = columns[:, i]
+            observe_plant(row, observations[i])
+            observe_reference(row, row[{clock}] * dt, observations[i])
 
 
 @njit(cache=True, nogil=True)
@@ -172,20 +200,22 @@ def load(plant: Plant, reference: Reference, cost: str) -> ModuleType:
         state_of_lanes=", ".join(lanes[:n]),
         arguments=", ".join([*state, *(f"row[{n + i}]" for i in range(p))]),
         lane_arguments=", ".join(lanes),
-        start_of_rows=", ".join(f"rows[i, {i}]" for i in range(n + p)),
-        state_of_rows=", ".join(f"rows[i, {i}]" for i in range(n)),
-        observed_states=", ".join(f"observations[i, {i}]" for i in range(n)),
-        observed_derivatives_of_rows=", ".join(f"observations[i, {n + i}]" for i in range(n)),
+        start_of_columns=", ".join(f"columns[{i}, i]" for i in range(n + p)),
+        state_of_columns=", ".join(f"columns[{i}, i]" for i in range(n)),
         next_state=", ".join(f"n{s}" for s in state),
         lanes_update="\n".join(f"            x[{i}, j] = n{s} if moves else x[{i}, j]" for i, s in enumerate(state)),
         low="(" + "".join(f"settings[{6 + i}], " for i in range(n)) + ")",
         high="(" + "".join(f"settings[{6 + n + i}], " for i in range(n)) + ")",
+        observed_states=", ".join(f"observations[i, {k}]" for k in range(n)),
+        observed_derivatives_of_lanes=", ".join(f"observations[i, {n + k}]" for k in range(n)),
+        observed_references=", ".join(f"observations[i, {2 * n + k}]" for k in range(n + 1)),
+        references_of_table=", ".join(f"table[k, {k}]" for k in range(n + 1)),
+        same_reference=" & ".join(f"(columns[{n + p + k}, i] == given[{k}])" for k in range(r)),
         observed_state=", ".join(f"observation[{i}]" for i in range(n)),
         observed_derivatives=", ".join(f"observation[{n + i}]" for i in range(n)),
         output=n,
         reference_slice=f"{n + p}:{clock}",
         reference_start=2 * n,
-        same_reference=" and ".join(f"rows[i, {i}] == rows[i - 1, {i}]" for i in range(clock, n + p - 1, -1)),
         high_start=6 + n,
         clock=clock,
         size=3 * n + 1,

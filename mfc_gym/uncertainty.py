@@ -43,7 +43,7 @@ class Uncertainty:
     @cached_property
     def range_3(self) -> Ends:
         """Range of Delta_3 over the region and the whole theta box."""
-        return enclose(self.Delta_3, self.box)
+        return enclose(self.Delta_3, self.box, budget=100_000)
 
     @property
     def uniform(self) -> bool:
