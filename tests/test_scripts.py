@@ -1,0 +1,85 @@
+"""The commands as a user calls them: results on disk, and errors before anything is written."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scripts import evaluate_controller, reproduce_paper
+
+ROOT = Path(__file__).parents[1]
+
+
+def evaluate(*controllers: str, **options: object) -> None:
+    evaluate_controller.main(evaluate_controller.Arguments(controllers, **options))  # type: ignore[arg-type]
+
+
+def test_evaluation_writes_results_that_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluate("mfc", "matched-only", scenario="random", episodes=3, seed=7, exact=1, horizon=4.0, out=tmp_path)
+    data = json.loads((tmp_path / "results.json").read_text())
+    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
+    assert [(row["controller"], row["seed"]) for row in rows] == [(c, str(s)) for c in ("mfc", "matched-only") for s in (7, 8, 9)]
+    assert data["seeds"] == [7, 8, 9]
+    for result, cut in zip(data["results"], (rows[:3], rows[3:]), strict=True):
+        for episode, row in zip(result["episodes"], cut, strict=True):
+            assert {k: float(row[k]) for k in ("iae", "tail_rms")} == {k: episode[k] for k in ("iae", "tail_rms")}
+    assert set(data["provenance"]) == {"command", "commit", "versions", "machine"}
+    assert {"numpy", "gymnasium", "numba"} <= set(data["provenance"]["versions"])
+    assert (tmp_path / "episode.png").read_bytes().startswith(b"\x89PNG")
+    printed = capsys.readouterr().out
+    assert "tail rms" in printed
+    assert "mfc" in printed
+
+
+def test_evaluation_is_reproducible_and_order_free(tmp_path: Path) -> None:
+    """Each policy sees the same episodes, whatever else is evaluated and in which order."""
+    results = []
+    for controllers in (("mfc", "single-loop"), ("single-loop", "mfc")):
+        evaluate(*controllers, scenario="random", episodes=2, horizon=2.0, exact=0, out=tmp_path)
+        found = json.loads((tmp_path / "results.json").read_text())["results"]
+        results.append({r["controller"]: [e["iae"] for e in r["episodes"]] for r in found})
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "`controllers` must name at least one"),
+        (("nobody",), "`name` must be one of"),
+        (("mfc:gain",), "name:option=value"),
+        (("mfc:gain=largest",), "`gain` must be one of"),
+        (("mfc:colour=3",), "does not take these options"),
+        (("mfc", "--scenario", "wild"), "`scenario` must be one of"),
+        (("mfc", "--env", "mfc_gym/Nothing-v0"), "Nothing"),
+        (("mfc", "--dt", "-1"), "`dt` must be positive"),
+        (("mfc", "--episodes", "0"), "`episodes` must be at least 1"),
+        (("mfc", "--theta", "0.9", "0.9"), "`theta` must keep"),
+        (("mfc", "--out", "/proc/results"), "`out` must be a folder that can be written"),
+    ],
+)
+def test_errors_are_one_sentence_and_write_nothing(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    out = [] if "--out" in arguments else ["--out", str(tmp_path / "new")]
+    command = [sys.executable, str(ROOT / "scripts" / "evaluate_controller.py"), *arguments, *out]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_reproduction_agrees_with_the_reference_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reproduce_paper.main(reproduce_paper.Arguments(out=tmp_path))
+    values = json.loads((tmp_path / "values.json").read_text())["exact"]
+    for label, found in values.items():
+        *_, iae, ise, energy, peak, variation = reproduce_paper.EXPECTED[label[0]]
+        computed = [found[name] for name in ("iae", "ise", "energy")]
+        assert computed == pytest.approx([iae, ise, energy], rel=3e-6)
+        assert found["total_variation"] == pytest.approx(variation, rel=2e-4)
+        assert np.isnan(peak) or found["peak"] == pytest.approx(peak, rel=1e-5)
+    assert (tmp_path / "figure.png").is_file()
+    assert (tmp_path / "sampling.png").is_file()
+    assert "computed" in capsys.readouterr().out
