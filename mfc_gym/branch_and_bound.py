@@ -14,6 +14,7 @@ from typing import Literal
 
 import sympy as sp
 
+from mfc_gym.interval import Absolute
 from mfc_gym.interval_function import Ends, IntervalFunction
 
 Box = Mapping[sp.Symbol, Ends]
@@ -75,6 +76,7 @@ class _Problem:
         self.symbols = sorted(expr.free_symbols.union(*(w.free_symbols for w in where)), key=lambda s: s.name)
         if missing := [s.name for s in self.symbols if s not in box]:
             raise ValueError(f"`box` must have an interval for every symbol of the expression, {missing} have none.")
+        expr = expr.replace(sp.Abs, Absolute)
         self.gradient = IntervalFunction([expr, *(sp.diff(expr, s) for s in self.symbols)], self.symbols)
         self.value = IntervalFunction([expr], self.symbols)
         self.where = IntervalFunction(where, self.symbols)

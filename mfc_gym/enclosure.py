@@ -7,6 +7,8 @@ theta of the declared box with abs(Delta_3) <= delta_3; Theorem 2 of [1] needs d
     to compensate unmatched uncertainties.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 import sympy as sp
 
@@ -42,11 +44,13 @@ def check_domain(system: FlatSystem) -> None:
                 raise ValueError(f"`{name}` entry {i} must be defined in the whole operating region: {clause}.")
     if clause := undefined_at([system.h], u.box):
         raise ValueError(f"`h` must be defined in the whole operating region: {clause}.")
-    derivatives = [*system.lie_f, system.beta, *system.lie_f_Delta, u.Delta_3]
-    if clause := undefined_at(derivatives, u.box):
-        raise ValueError(f"`f`, `g`, `h` and `Delta` must have derivatives in the whole operating region: {clause}.")
+    message = "`f`, `g`, `h` and `Delta` must have derivatives in the whole operating region"
+    if clause := undefined_at([*system.lie_f, system.beta], u.box):
+        raise ValueError(f"{message}: {clause}.")
     if clause := zero_at(system.beta, u.region):
         raise ValueError(f"`g` must give an input gain L_g L_f^(n-1) h other than zero in the whole region: {clause}.")
+    if clause := undefined_at([*system.lie_f_Delta, u.Delta_3], u.box):
+        raise ValueError(f"{message}: {clause}.")
 
 
 def derive_bounds(system: FlatSystem) -> dict[str, sp.Expr]:
@@ -58,17 +62,23 @@ def derive_bounds(system: FlatSystem) -> dict[str, sp.Expr]:
     u = Uncertainty(system)
     if u.delta_3 is None:
         u.require_invertible_gain()
-    bounds = {name: system.bounds[name] if name in system.bounds else _derived(u, name) for name in BOUNDS}
-    if u.delta_3 is None and not enclose(bounds["delta_3"], u.region)[1] < 1:
-        bounds["delta_3"] = round_up(max(-u.range_3[0], u.range_3[1]))
-    return bounds
+    bounds = dict(system.bounds)
+    for name in BOUNDS:
+        if name not in bounds:
+            bounds[name] = _derived(u, name, bounds)
+    return {name: bounds[name] for name in BOUNDS}
 
 
-def _derived(u: Uncertainty, name: str) -> sp.Expr:
+def _derived(u: Uncertainty, name: str, known: Mapping[str, sp.Expr]) -> sp.Expr:
     numerator, denominator = u.quotient(name)
-    if (denominator == 1 or u.uniform) and (bound := triangle_bound(numerator, u.theta, denominator)) is not None:
-        return bound
-    low, high = enclose(numerator / denominator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
+    if denominator == 1 or u.uniform:
+        bound = triangle_bound(numerator, u.theta, denominator)
+        if bound is not None and (name != "delta_3" or enclose(bound, u.region, budget=BUDGET // 10)[1] < 1):
+            return bound
+    if denominator != 1:  # 1 + Delta_3 is at least 1 + low
+        low = max(u.range_3[0], -enclose(known["delta_3"], u.region, budget=BUDGET // 10)[1])
+        return known[f"delta_{name[-1]}"] / (1 - round_up(-low))
+    low, high = u.range_3 if name == "delta_3" else enclose(numerator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
     if not max(-low, high) < float("inf"):
         raise ValueError(f"`bounds` must give {name}: what it bounds could not be enclosed over region and theta.")
     return round_up(max(-low, high))

@@ -19,6 +19,17 @@ PHASE = libmp.from_float(1e12)  # sine and cosine of more are any value
 ONE = libmp.fone
 
 
+class Sign(sp.Function):
+    """sign, kept as it stands."""
+
+
+class Absolute(sp.Function):
+    """abs, kept as it stands: SymPy's own tries to find the sign of its argument whenever it is differentiated."""
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        return Sign(self.args[0])
+
+
 class Undefined(ArithmeticError):
     """The operation is not defined on the whole interval."""
 
@@ -128,6 +139,7 @@ FUNCTIONS: dict[type[sp.Expr], Callable[..., Interval]] = {
     sp.Add: add,
     sp.Mul: multiply,
     sp.Abs: libmpi.mpi_abs,
+    Absolute: libmpi.mpi_abs,
     sp.Min: partial(extremum, libmpi.MIN),
     sp.Max: partial(extremum, libmpi.MAX),
     sp.exp: exponential,
@@ -142,4 +154,5 @@ FUNCTIONS: dict[type[sp.Expr], Callable[..., Interval]] = {
     sp.sinh: partial(hyperbolic, True),
     sp.cosh: partial(hyperbolic, False),
     sp.sign: partial(step, libmp.fnone),
+    Sign: partial(step, libmp.fnone),
 }

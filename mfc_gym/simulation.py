@@ -20,6 +20,7 @@ Indices = Sequence[int] | NDArray[np.intp]
 SCENARIOS = ("paper", "random")
 DERIVATIVES = ("exact",)
 RESET_OPTIONS = ("initial_state", "theta", "reference_parameters")
+TABULATED = 20_000  # samples of the reference that are kept, at most
 DRAWS = 10_000  # attempts to draw an admissible theta
 
 
@@ -106,6 +107,13 @@ class Simulation:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Simulation, self._made_from
+
+    def tabulated(self) -> tuple[Array, Array]:
+        """The reference parameters of the paper scenario, (r,), and their reference at the samples 0, 1, ..., (N, n+1)."""
+        parameters = self.row_reference(self._start).copy()
+        table = np.empty((min(self.steps, TABULATED) + 1, self.plant.order + 1))
+        self.kernel.tabulate(parameters, self.dt, table)
+        return parameters, table
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from mfc_gym.references import Reference
 
 Array = NDArray[np.float64]
 
-LANES = 32  # rows that the compiler may integrate side by side, with vector instructions
+BLOCK = 128  # episodes that are integrated side by side, so that the compiler uses vector instructions
 
 TEMPLATE = '''"""Generated: the environment step of a plant following the reference {reference!r}. Do not edit."""
 
@@ -90,16 +90,16 @@ def advance_one(row, action, settings):
 
 
 @njit(error_model="numpy")
-def integrate_lanes(x, theta, u, inside, settings):
-    """`integrate` of {lanes} episodes side by side; x (n, {lanes}) and `inside` are updated, what is not inside stays."""
+def integrate_block(x, theta, u, inside, count, settings):
+    """`integrate` of `count` episodes side by side; x (n, {block}) and `inside` are updated, what is not inside stays."""
     substeps, low, high = int(settings[1]), {low}, {high}
     h = settings[0] / substeps
     for _ in range(substeps):
-        for j in range({lanes}):
-            {next_state} = rk4({lane_arguments}, u[j], h)
+        for j in range(count):
+            {next_state} = rk4({block_arguments}, u[j], h)
             within = is_inside({next_state}, low, high)
             moves = inside[j] & (within | is_near({next_state}, low, high))
-{lanes_update}
+{block_update}
             inside[j] = inside[j] & within
 
 
@@ -109,30 +109,30 @@ def advance_all(
 ):
     """`advance` of the episodes start to stop; one that is not active is observed as it is, its action does not count.
 
-    Episodes are columns here (row, N); N, and the length of `active`, is a multiple of {lanes}, as is `start`. Where the
-    reference's parameters are those given, (r,), it is read from the table (samples, n+1).
+    Episodes are columns here, shape (row, N). The reference of those whose parameters are as given, (r,), is read from
+    the table, (samples, n+1). Short loops over a block, one after the other, become vector instructions.
     """
-    x, theta, u, inside = np.empty(({n}, {lanes})), np.empty(({p}, {lanes})), np.zeros({lanes}), np.empty({lanes}, np.bool_)
-    for first in range(start, stop, {lanes}):
-        count = min({lanes}, stop - first)
+    x, theta, u, inside = np.empty(({n}, {block})), np.empty(({p}, {block})), np.empty({block}), np.empty({block}, np.bool_)
+    for first in range(start, stop, {block}):
+        count = min({block}, stop - first)
         tabulated = True
-        for j in range({lanes}):
+        for j in range(count):
             i = np.uintp(first + j)
-            {lane_arguments} = {start_of_columns}
+            {block_arguments} = {start_of_columns}
             inside[j] = active[i]
             columns[{clock}, i] += 1.0 if active[i] else 0.0
         for j in range(count):
             i = np.uintp(first + j)
             u[j] = saturated(actions[i], settings)
             tabulated = tabulated & {same_reference} & (columns[{clock}, i] < table.shape[0])
-        integrate_lanes(x, theta, u, inside, settings)
-        for j in range({lanes}):
-            i = np.uintp(first + j)
-            {state_of_columns} = {state_of_lanes}
+        integrate_block(x, theta, u, inside, count, settings)
         for j in range(count):
             i = np.uintp(first + j)
-            {observed_states} = {state_of_lanes}
-            {observed_derivatives_of_lanes} = output_derivatives({lane_arguments})
+            {state_of_columns} = {state_of_block}
+        for j in range(count):
+            i = np.uintp(first + j)
+            {observed_states} = {state_of_block}
+            {observed_derivatives_of_block} = output_derivatives({block_arguments})
         if tabulated:
             for j in range(count):
                 i = np.uintp(first + j)
@@ -163,7 +163,8 @@ def observe_all(columns, dt, chosen, observations):
     row = np.empty({clock} + 1)
     for i in range(observations.shape[0]):
         if chosen[i]:
-            row[:] = columns[:, i]
+            for k in range(row.size):
+                row[k] = columns[k, i]
             observe_plant(row, observations[i])
             observe_reference(row, row[{clock}] * dt, observations[i])
 
@@ -186,7 +187,7 @@ def load(plant: Plant, reference: Reference, cost: str) -> ModuleType:
     n, p, r = plant.order, len(plant.theta), len(reference.defaults)
     name = reference.derivatives.__name__
     state, clock = [f"x{i + 1}" for i in range(n)], n + p + r
-    lanes = [*(f"x[{i}, j]" for i in range(n)), *(f"theta[{i}, j]" for i in range(p))]
+    block = [*(f"x[{i}, j]" for i in range(n)), *(f"theta[{i}, j]" for i in range(p))]
     source = TEMPLATE.format(
         reference=name,
         cost=cost,
@@ -194,20 +195,20 @@ def load(plant: Plant, reference: Reference, cost: str) -> ModuleType:
         nominal=plant.nominal.__name__,
         n=n,
         p=p,
-        lanes=LANES,
+        block=BLOCK,
         state=", ".join(state),
         state_of_row=", ".join(f"row[{i}]" for i in range(n)),
-        state_of_lanes=", ".join(lanes[:n]),
+        state_of_block=", ".join(block[:n]),
         arguments=", ".join([*state, *(f"row[{n + i}]" for i in range(p))]),
-        lane_arguments=", ".join(lanes),
+        block_arguments=", ".join(block),
         start_of_columns=", ".join(f"columns[{i}, i]" for i in range(n + p)),
         state_of_columns=", ".join(f"columns[{i}, i]" for i in range(n)),
         next_state=", ".join(f"n{s}" for s in state),
-        lanes_update="\n".join(f"            x[{i}, j] = n{s} if moves else x[{i}, j]" for i, s in enumerate(state)),
+        block_update="\n".join(f"            x[{i}, j] = n{s} if moves else x[{i}, j]" for i, s in enumerate(state)),
         low="(" + "".join(f"settings[{6 + i}], " for i in range(n)) + ")",
         high="(" + "".join(f"settings[{6 + n + i}], " for i in range(n)) + ")",
         observed_states=", ".join(f"observations[i, {k}]" for k in range(n)),
-        observed_derivatives_of_lanes=", ".join(f"observations[i, {n + k}]" for k in range(n)),
+        observed_derivatives_of_block=", ".join(f"observations[i, {n + k}]" for k in range(n)),
         observed_references=", ".join(f"observations[i, {2 * n + k}]" for k in range(n + 1)),
         references_of_table=", ".join(f"table[k, {k}]" for k in range(n + 1)),
         same_reference=" & ".join(f"(columns[{n + p + k}, i] == given[{k}])" for k in range(r)),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mfc_gym.branch_and_bound import Box, enclose
 from mfc_gym.complexity import node_count
 
-SIZE = 800  # nodes of an expression that is multiplied out and factored
+SIZE, FACTORED = 800, 200  # nodes of an expression that is multiplied out, and of one that is factored
 Array = NDArray[np.float64]
 DIGITS = Context(prec=11, rounding=ROUND_CEILING)
 BUDGET = 40_000  # interval operations per supremum
@@ -94,8 +94,10 @@ def triangle_bound(expression: sp.Expr, theta: ThetaSet, divisor: sp.Expr = sp.S
         return None
     separated: dict[sp.Expr, sp.Expr] = {}  # the parts whose c_j differ by a number only are taken together
     for p, c in parts.items():
-        number, direction = sp.factor(c).as_coeff_Mul()
+        number, direction = (sp.factor(c) if node_count(c) <= FACTORED else c).as_coeff_Mul()
         if direction.could_extract_minus_sign():
             number, direction = -number, -direction
         separated[direction] = separated.get(direction, sp.S.Zero) + number * p
-    return sp.Add(*(theta.supremum(sp.cancel(p / divisor)) * sp.Abs(c) for c, p in separated.items()))
+    # SymPy tries hard to find the sign of what it does not know to be real
+    absolute = {c: sp.Abs(c, evaluate=bool(c.is_real)) for c in separated}
+    return sp.Add(*(theta.supremum(sp.cancel(p / divisor)) * absolute[c] for c, p in separated.items()))

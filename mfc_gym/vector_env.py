@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mfc_gym.nominal import NominalModel
 from mfc_gym.simulation import Simulation
-from mfc_gym.stepping import LANES
+from mfc_gym.stepping import BLOCK
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,7 +59,8 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self.single_observation_space = self.simulation.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.rows = np.full((num_envs, self.simulation.row_size), np.nan)  # one episode each, see `mfc_gym.stepping`
+        self._columns = np.full((self.simulation.row_size, num_envs), np.nan)  # one episode each
+        self._tabulated = self.simulation.tabulated()
         self._shape = (num_envs, *self.single_observation_space.shape)
         self._streams = Streams(num_envs)
         self._running = np.ones(num_envs, dtype=bool)  # False: the episode has ended, the next one has not begun
@@ -67,7 +68,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         if threads is None:
             work = num_envs * (self.simulation.substeps + 4)
             threads = min(cores(), max(1, work // THREAD_WORK))
-        self._chunks = chunks(num_envs, _count("threads", threads))
+        self._spans = spans(num_envs, _count("threads", threads))
 
     @property
     def nominal(self) -> NominalModel:
@@ -80,19 +81,23 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         return self.simulation.dt
 
     @property
+    def rows(self) -> Array:
+        """The episodes as they are, see `mfc_gym.stepping`, shape (num_envs, row)."""
+        self._require_reset()
+        return np.ascontiguousarray(self._columns.T)
+
+    @property
     def theta(self) -> Array:
         """The true uncertain parameters of the episodes, shape (num_envs, p)."""
-        self._require_reset()
-        return self.simulation.row_theta(self.rows).copy()
+        return self.simulation.row_theta(self.rows)
 
     @property
     def reference_parameters(self) -> Array:
         """The parameters of the episodes' references, shape (num_envs, r)."""
-        self._require_reset()
-        return self.simulation.row_reference(self.rows).copy()
+        return self.simulation.row_reference(self.rows)
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]  # as in SyncVectorEnv
+    @property  # type: ignore[misc]  # Gymnasium's is one generator with a setter; a tuple as in SyncVectorEnv
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The generator of each environment."""
         return tuple(self._streams(i) for i in range(self.num_envs))
 
@@ -112,43 +117,48 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             self._streams.reseed(chosen, self._seeds(seed))
         self._begin(chosen, options)
         self._running[chosen] = True
-        self._begun = not np.isnan(self.rows[:, -1]).any()
+        self._begun = not np.isnan(self._columns[-1]).any()
         observations = np.empty(self._shape)
-        self.simulation.kernel.observe_all(self.rows, self.dt, np.ones(self.num_envs, dtype=bool), observations)
+        self._observe(np.ones(self.num_envs, dtype=bool), observations)
         return observations, {}
 
     def step(self, actions: Any) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
-        self._require_reset()
+        self._require_running()
         values, active = self._actions(actions), self._running
         if not active.all():
             self._begin(np.flatnonzero(~active), None)
         observations, rewards = np.empty(self._shape), np.empty(self.num_envs)
         terminated, truncated = np.empty(self.num_envs, dtype=bool), np.empty(self.num_envs, dtype=bool)
-        self._advance(values, self.simulation.settings, active, observations, rewards, terminated, truncated)
+        self._advance(values, active, observations, rewards, terminated, truncated)
         ended = terminated | truncated
         info = self._info(observations, terminated, ended) if ended.any() else {}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._running = ~ended
         elif info:
             self._begin(np.flatnonzero(ended), None)
-            self.simulation.kernel.observe_all(self.rows, self.dt, ended, observations)
+            self._observe(ended, observations)
         return observations, rewards, terminated, truncated, info
 
     def _begin(self, chosen: NDArray[np.intp], options: Mapping[str, Any] | None) -> None:
-        self.rows[chosen] = self.simulation.begin(self._streams, options, chosen, self.num_envs)
+        self._columns[:, chosen] = self.simulation.begin(self._streams, options, chosen, self.num_envs).T
 
-    def _advance(self, *arrays: Any) -> None:
-        """The kernel, the first chunk here and the others in further threads."""
-        advance = self.simulation.kernel.advance_all
-        first, *others = self._chunks
-        pending = [workers().submit(advance, self.rows, *arrays, *chunk) for chunk in others]
-        advance(self.rows, *arrays, *first)
-        for chunk in pending:
-            chunk.result()
+    def _observe(self, chosen: Mask, observations: Array) -> None:
+        self.simulation.kernel.observe_all(self._columns, self.dt, chosen, observations)
+
+    def _advance(self, values: Array, active: Mask, *results: Array) -> None:
+        """The kernel, the first span here and the others in further threads."""
+        simulation = self.simulation
+        arguments: list[Any] = [self._columns, values, simulation.settings, active, *self._tabulated, *results]
+        first, *others = self._spans
+        pending = [workers().submit(simulation.kernel.advance_all, *arguments, *span) for span in others]
+        simulation.kernel.advance_all(*arguments, *first)
+        for span in pending:
+            span.result()
 
     def _info(self, observations: Array, terminated: Mask, ended: Mask) -> dict[str, Any]:
         """What Gymnasium's vector environments make of the scalar environments' infos."""
-        success = ended & self.simulation.success(observations, terminated)
+        success = np.zeros(self.num_envs, dtype=bool)
+        success[ended] = self.simulation.success(observations[ended], terminated[ended])
         info: dict[str, Any] = {"is_success": success, "_is_success": ended.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = np.full(self.num_envs, None, dtype=object)
@@ -161,6 +171,9 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def _require_reset(self) -> None:
         if not self._begun:
             raise gym.error.ResetNeeded("Call reset before step.")
+
+    def _require_running(self) -> None:
+        self._require_reset()
         if self.autoreset_mode is AutoresetMode.DISABLED and not self._running.all():
             raise gym.error.ResetNeeded(
                 f"The episode of environment {self._running.argmin()} has ended: call "
@@ -168,7 +181,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             )
 
     def _actions(self, actions: Any) -> Array:
-        """A copy, shape (num_envs, 1), finite wherever an action counts."""
+        """Shape (num_envs,), a copy, finite wherever an action counts."""
         try:
             given = np.asarray(actions)
         except ValueError:  # ragged
@@ -178,11 +191,11 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
                 f"`actions` must be {self.num_envs} numbers, shape ({self.num_envs}, 1), "
                 f"got {actions!r} of shape {given.shape}."
             )
-        values = np.array(given, dtype=np.float64, order="C")
+        values = np.array(given[:, 0], dtype=np.float64)
         finite = np.isfinite(values)
         if not finite.all():
-            for i in np.flatnonzero(~finite[:, 0] & self._running)[:1]:
-                raise ValueError(f"`actions` must be finite, got {given[i, 0]} for environment {i}.")
+            for i in np.flatnonzero(~finite & self._running)[:1]:
+                raise ValueError(f"`actions` must be finite, got {values[i]} for environment {i}.")
         return values
 
     def _mask(self, mask: Any) -> Mask:
@@ -248,10 +261,10 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=workers.cache_clear)  # threads do not survive a fork
 
 
-def chunks(num_envs: int, count: int) -> list[tuple[int, int]]:
-    """At most `count` spans [start, stop) of about the same length, in multiples of what the kernel takes at once."""
-    groups = -(-num_envs // LANES)
-    edges = [min(num_envs, LANES * round(groups * k / count)) for k in range(count + 1)]
+def spans(num_envs: int, count: int) -> list[tuple[int, int]]:
+    """At most `count` spans [start, stop) of about the same length, in multiples of the kernel's block."""
+    blocks = -(-num_envs // BLOCK)
+    edges = [min(num_envs, BLOCK * round(blocks * k / count)) for k in range(count + 1)]
     return [(start, stop) for start, stop in pairwise(edges) if start < stop]
 
 

@@ -9,9 +9,13 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import gymnasium as gym
 import numpy as np
 import pytest
+from hypothesis import settings
 
 import mfc_gym  # noqa: F401 (registers the environments)
 from mfc_gym.env import TrackingEnv
+
+settings.register_profile("compiled", deadline=None)  # the first call of a kernel compiles it
+settings.load_profile("compiled")
 
 
 @pytest.fixture

@@ -197,6 +197,89 @@ def test_sliding_poles_of_equal_poles() -> None:
     np.testing.assert_allclose(poles, [-4, -4], rtol=0, atol=4 * np.sqrt(10 * EPS))
 
 
+# -- surfaces of other gains, by the positive real lemma ------------------------------------------------------------------
+
+
+def assert_lyapunov(P: Array, k: Array, c: Array) -> None:
+    """P > 0, Q > 0 and P B = c, the last up to the solver's error, n^2 eps cond(P) with room for the spectral factor's."""
+    assert np.linalg.eigvalsh(P)[0] > 0
+    assert np.linalg.eigvalsh(lyapunov.dissipation(P, k))[0] > 0
+    np.testing.assert_allclose(lyapunov.surface(P), c, rtol=len(k) ** 2 * EPS * np.linalg.cond(P))
+
+
+def random_poles(rng: np.random.Generator, n: int) -> Array:
+    """Real, in part complex or repeated."""
+    poles = -rng.uniform(0.5, 5, n).astype(complex)
+    kind = rng.integers(3)
+    if kind == 1:
+        poles[:2] = poles[0].real + 1j * rng.uniform(0.2, 3) * np.array([1, -1])
+    elif kind == 2:
+        poles[0] = poles[1]
+    return poles
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6])
+def test_surface_beside_the_process_poles(n: int) -> None:
+    """c(s) = a'(s) / n: a'(s) / a(s) = sum 1 / (s + p_i) is strictly positive real, whatever the poles."""
+    rng = np.random.default_rng(n)
+    for _ in range(30):
+        k = lyapunov.place(random_poles(rng, n))
+        derivative = np.append(k[1:] * np.arange(1, n) / n, 1.0)
+        assert_lyapunov(lyapunov.from_surface(k), k, derivative)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+def test_interlacing_surface(n: int) -> None:
+    """Zeros between real poles: all residues of c / a are positive, and so is its real part."""
+    rng = np.random.default_rng(n)
+    for _ in range(30):
+        roots = -np.cumsum(rng.uniform(0.2, 1.5, 2 * n - 1))
+        k, c = lyapunov.place(roots[::2]), np.append(lyapunov.place(roots[1::2]), 1.0)
+        assert_lyapunov(lyapunov.from_surface(k, c), k, c)
+
+
+def test_surfaces_of_the_second_order() -> None:
+    """Re (jw + b) / (a0 - w^2 + j a1 w) > 0 for all w if and only if b a0 + (a1 - b) w^2 > 0: 0 < b < a1."""
+    rng = np.random.default_rng(0)
+    admitted = 0
+    for _ in range(200):
+        k = lyapunov.place(random_poles(rng, 2))
+        b = rng.uniform(0.05, 1.5) * k[1]
+        if abs(b / k[1] - 1) < 0.01:
+            continue  # so close to the border that no decay rate is left to design for
+        c = np.array([b, 1.0])
+        if b < k[1]:
+            admitted += 1
+            assert_lyapunov(lyapunov.from_surface(k, c), k, c)
+        else:
+            with pytest.raises(ValueError, match=r"`sliding_poles` must make c\(s\) / a\(s\) strictly positive real"):
+                lyapunov.from_surface(k, c)
+    assert 50 < admitted < 150
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_surfaces_of_higher_order(n: int) -> None:
+    """A surface is admitted if and only if Re c(jw) / a(jw) > 0 for all w, here on a grid; doubtful cases are left out."""
+    rng = np.random.default_rng(n)
+    w = np.append(0, np.logspace(-3, 4, 2000))
+    admitted = refused = 0
+    for _ in range(60):
+        k, c = lyapunov.place(random_poles(rng, n)), np.append(lyapunov.place(random_poles(rng, n - 1)), 1.0)
+        ratio = np.polyval(c[::-1], 1j * w) / np.polyval([1.0, *k[::-1]], 1j * w)
+        real = ratio.real * (1 + w**2)
+        if abs(real.min()) < 0.01 * real.max():
+            continue
+        if real.min() > 0:
+            admitted += 1
+            assert_lyapunov(lyapunov.from_surface(k, c), k, c)
+        else:
+            refused += 1
+            with pytest.raises(ValueError, match="`sliding_poles` must make"):
+                lyapunov.from_surface(k, c)
+    assert admitted > 5
+    assert refused > 5
+
+
 def test_dissipation_of_a_large_design_stays_symmetric() -> None:
     """Q is symmetric to the last bit, however large the entries of P are; P of Q = I has cond 1e12 here."""
     k = lyapunov.place([-10.0] * 6)

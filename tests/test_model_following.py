@@ -116,45 +116,53 @@ def interpolated(before: Array, after: Array, dt: float, s: Array) -> Array:
     return out
 
 
-@pytest.mark.parametrize("n", [2, 3, 4])
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
 def test_interpolation_reproduces_polynomials(n: int) -> None:
-    """Degree 2 n + 1, any interval. The i-th derivative of the rounding error grows like (2 n + 1)^i / dt^i, and the matrix of
-    the ends has the condition number given.
+    """Degree n + 3 on any interval.
+
+    The i-th derivative of a polynomial of size 1 has the size (n+3)! / (n+3-i)! / dt^i, and rounding errors of that size;
+    the coefficients inherit them through the matrix.
     """
     rng = np.random.default_rng(n)
     s = np.linspace(0, 1, 11)
-    condition = np.linalg.cond(model_loop.hermite_matrix(n))
     for dt in (0.01, 0.5, 2.0):
-        p = np.polynomial.Polynomial(
-            rng.normal(size=2 * n + 2) / dt ** np.arange(2 * n + 2)
-        )  # of size 1 on the interval
+        p = np.polynomial.Polynomial(rng.normal(size=n + 4) / dt ** np.arange(n + 4))  # of size 1 on the interval
         exact = np.array([(p if i == 0 else p.deriv(i))(dt * s) for i in range(n + 1)]).T
-        scale = ((2 * n + 1) / dt) ** np.arange(n + 1)
-        error = np.abs(interpolated(exact[0], exact[-1], dt, s) - exact) / scale
-        assert error.max() < 10 * condition * EPS
+        size = np.array([factorial(n + 3) / factorial(n + 3 - i) for i in range(n + 1)])
+        error = np.abs(interpolated(exact[0], exact[-1], dt, s) - exact) * dt ** np.arange(n + 1) / size
+        assert error.max() < 10 * EPS * (np.abs(model_loop.hermite_matrix(n)) @ size).sum()
 
 
-@pytest.mark.parametrize("n", [2, 3, 4])
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
 def test_interpolation_error(n: int) -> None:
-    """f - p = f^(2n+2)(eta) / (2n+2)! (s (1-s))^(n+1) dt^(2n+2), Hermite's remainder, and order 2n + 2 - i for f^(i).
+    """f^(n-2) - p^(n-2) = f^(n+4)(eta) / 6! (s (1-s))^3 dt^6, Hermite's remainder, and order n + 4 - i for f^(i).
 
-    For f = sin around pi / 2, abs(f^(2n+2)) varies by (1 - cos(dt)) on the interval: the bound holds and is met up to that.
-    The slopes differ from the order by the same dt^2 / log(2); f^(i) is compared where its leading error does not vanish.
+    For f^(n+4) = cos around 0, its size varies by 1 - cos(dt / 2) on the interval: the bound holds and is met up to that,
+    and the slopes miss the order by no more than dt^2 / log(2).
     """
     s = np.array([0.0, 0.2, 0.35, 0.5, 0.8, 1.0])
-    errors = []
-    steps = (0.8, 0.4) if n > 2 else (0.4, 0.2)  # errors far above rounding
+    errors, steps = [], (0.4, 0.2)
     for dt in steps:
-        t = pi / 2 + dt * (s - 0.5)
+        t = dt * (s - 0.5) - (n + 3) * pi / 2  # f = sin, f^(n+4) = sin(t + (n+4) pi / 2) = cos around 0
         error = sine(t, n) - interpolated(sine(t[0], n), sine(t[-1], n), dt, s)
-        remainder = (s * (1 - s)) ** (n + 1) * dt ** (2 * n + 2) / factorial(2 * n + 2)
+        remainder = (s * (1 - s)) ** 3 * dt**6 / factorial(6)
         rounding = 100 * EPS
-        assert (np.abs(error[:, 0]) <= remainder + rounding).all()
-        assert (np.abs(error[:, 0]) >= remainder * np.cos(dt / 2) - rounding).all()
-        np.testing.assert_allclose(error[[0, -1]], 0, atol=1e4 * EPS / dt**n)  # the ends are met
+        assert (np.abs(error[:, n - 2]) <= remainder + rounding).all()
+        assert (np.abs(error[:, n - 2]) >= remainder * np.cos(dt / 2) - rounding).all()
+        np.testing.assert_allclose(error[0], 0, atol=rounding)  # all derivatives on the left, three on the right
+        np.testing.assert_allclose(error[-1, n - 2 :], 0, atol=rounding / dt**2)
         errors.append(np.abs(error).max(axis=0))
     slopes = np.log2(errors[0] / errors[1])
-    np.testing.assert_allclose(slopes, 2 * n + 2 - np.arange(n + 1), atol=steps[0] ** 2 / np.log(2) / 2)
+    np.testing.assert_allclose(slopes, n + 4 - np.arange(n + 1), atol=steps[0] ** 2 / np.log(2))
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+def test_interpolation_is_well_conditioned(n: int) -> None:
+    """The rounding error of y_d^(n) is 60 (the third row of the inverse) eps / dt^2 times a few, whatever the order."""
+    dt, s = 1e-3, np.linspace(0, 1, 11)
+    for t in np.linspace(0, 6, 20):
+        error = sine(t + dt * s, n) - interpolated(sine(t, n), sine(t + dt, n), dt, s)
+        assert np.abs(error[:, n]).max() < 60 * 10 * EPS / dt**2
 
 
 def follow(controller: Any, observations: Array) -> Array:
@@ -176,7 +184,7 @@ def observations_of(nominal: Any, t: Array, offset: float) -> Array:
 
 @pytest.mark.parametrize(
     ("system", "n"),
-    [("PerturbedChain", 3), ("mfc_gym.systems.motor_pendulum:motor_pendulum", 3)],
+    [("PerturbedChain", 3), ("MotorPendulum", 3)],
 )
 def test_nonlinear_model_converges_to_the_linear_one(system: str, n: int) -> None:
     """Both implementations of the model are equivalent [1]. The nonlinear one, linearised by its own feedback, is integrated
@@ -187,7 +195,7 @@ def test_nonlinear_model_converges_to_the_linear_one(system: str, n: int) -> Non
     """
     differences = []
     for dt in (0.08, 0.04, 0.02, 0.01):
-        env = gym.make("mfc_gym/PerturbedChain-v0", system=system, dt=dt, horizon=2.4, input_limit=1e5, substeps=1)
+        env = gym.make(f"mfc_gym/{system}-v0", dt=dt, horizon=2.4, input_limit=1e5, substeps=1)
         t = dt * np.arange(round(2.4 / dt) + 1)
         observations = observations_of(env.unwrapped.nominal, t, 2.0)
         options: dict[str, Any] = {**POLES[n], **LAW, "delta_1": 1.0, "initial_model_state": (0.2, 0.1, -0.1)}
@@ -195,7 +203,7 @@ def test_nonlinear_model_converges_to_the_linear_one(system: str, n: int) -> Non
         nonlinear = follow(baselines.make("mfc-conventional", env, **options), observations)
         assert np.abs(linear).max() < 1e5  # not saturated
         assert linear[0] == pytest.approx(nonlinear[0], rel=1e-10)  # tau_inverse stops at 1e-13
-        differences.append(np.abs(linear - nonlinear).max()); print(system, dt, differences)
+        differences.append(np.abs(linear - nonlinear).max())
     assert abs(np.log(differences[0] / differences[-1]) / np.log(8) - 4) < 0.15
 
 
@@ -259,12 +267,14 @@ def test_matched_uncertainty_needs_no_derivatives() -> None:
 
 
 def test_hermite_matrix_inverts_the_derivatives_of_the_powers() -> None:
-    """M[i, m] = d^i/ds^i s^(n+1+m) at s = 1, in integers; numpy's inverse is off by the condition number."""
-    for n in (1, 2, 3, 4, 5):
-        powers = [np.polynomial.Polynomial.basis(n + 1 + m) for m in range(n + 1)]
-        M = np.array([[(p if i == 0 else p.deriv(i))(1.0) for p in powers] for i in range(n + 1)])
-        residual = model_loop.hermite_matrix(n) @ M - np.eye(n + 1)
-        assert np.abs(residual).max() < 10 * np.linalg.cond(M) * EPS
+    """M[i, m] = d^i/ds^i s^(n+1+m) at s = 1 in integers, i = n-2 ... n; NumPy's inverse is off by the condition number."""
+    for n in (2, 3, 4, 5):
+        powers = [np.polynomial.Polynomial.basis(n + 1 + m) for m in range(3)]
+        M = np.array([[(p if i == 0 else p.deriv(i))(1.0) for p in powers] for i in range(n - 2, n + 1)])
+        hermite = model_loop.hermite_matrix(n)
+        assert np.abs(hermite[:3, n - 2 :] @ M - np.eye(3)).max() < 10 * np.linalg.cond(M) * EPS
+        hermite[:3, n - 2 :] = 0
+        assert not hermite.any()
 
 
 def test_transition_matrix_solves_the_error_dynamics() -> None:
