@@ -104,10 +104,10 @@ def plain(name: str, value: Any, depth: int = 0, text: str = r"[^\x00-\x1f]{0,20
 
 
 def options(name: str, value: Any) -> None:
-    """Keywords of an environment; text only as bare names, neither paths nor modules."""
+    """Keywords of an environment; text only as bare names, neither folders nor modules."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} must be an object, got {_short(value)}.")
-    plain(name, value, text=r"\w{1,100}")
+    plain(name, value, text=r"\w[\w.\-]{0,99}")
 
 
 SCHEMA: dict[str, Any] = {

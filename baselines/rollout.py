@@ -16,7 +16,7 @@ from mfc_gym import observation as layout
 from mfc_gym.nominal import NominalModel
 
 Array = NDArray[np.float64]
-Batch = tuple[Array, Array, Array, NDArray[np.bool_]]  # observations, controls, rewards, terminated
+Batch = tuple[Array, Array, Array, Array, NDArray[np.bool_]]  # observations, outputs, controls, rewards, terminated
 
 
 def rollout(
@@ -30,17 +30,21 @@ def rollout(
     observation, _ = env.reset(seed=seed, options=options)
     batch = hasattr(env, "num_envs")
     if compiled and isinstance(policy, LyapunovRedesign) and _plain(env) and _made_for(policy, env.unwrapped.nominal):
-        observations, controls, rewards, terminated = _compiled(env.unwrapped, policy, np.atleast_2d(observation))
+        found = _compiled(env.unwrapped, policy, np.atleast_2d(observation))
     else:
-        observations, controls, rewards, terminated = _stepwise(env, policy, observation, batch)
+        found = _stepwise(env, policy, observation, batch)
+    observations, outputs, controls, rewards, terminated = found
+    if not batch:
+        observations, outputs, controls, rewards = observations[:, 0], outputs[:, 0], controls[:, 0], rewards[:, 0]
     return Trajectory(
         time=env.unwrapped.dt * np.arange(len(observations)),
-        state=layout.state(observations if batch else observations[:, 0]),
-        output_derivatives=layout.output_derivatives(observations if batch else observations[:, 0]),
-        reference=layout.reference(observations if batch else observations[:, 0]),
-        control=controls if batch else controls[:, 0],
-        reward=rewards if batch else rewards[:, 0],
+        state=layout.state(observations),
+        output_derivatives=layout.output_derivatives(observations),
+        reference=layout.reference(observations),
+        control=controls,
+        reward=rewards,
         terminated=terminated if batch else bool(terminated[0]),
+        output=outputs,
     )
 
 
@@ -61,13 +65,15 @@ def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:
     count, steps = len(first), simulation.steps
     observations = np.full((count, steps + 1, first.shape[1]), np.nan)
     observations[:, 0] = first
+    outputs = np.full((count, steps + 1), np.nan)
+    outputs[:, 0] = env.output
     controls, rewards = np.full((count, steps), np.nan), np.full((count, steps), np.nan)
     terminated = np.zeros(count, dtype=bool)
     memory = controller.first_memory(first)
     run = rollout_kernel.load(simulation.kernel, controller).run
 
     def chunk(start: int, stop: int) -> None:
-        arrays = (memory, controller.law, observations, controls, rewards, terminated)
+        arrays = (memory, controller.law, observations, outputs, controls, rewards, terminated)
         run(rows, simulation.settings, *arrays, start, stop)
 
     threads = min(count, os.cpu_count() or 1)
@@ -78,8 +84,9 @@ def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(chunk, edges[:-1], edges[1:]))
     longest = int((~np.isnan(rewards)).any(axis=0).sum())
-    cut = [np.moveaxis(a, 0, 1) for a in (observations[:, : longest + 1], controls[:, :longest], rewards[:, :longest])]
-    return cut[0], cut[1], cut[2], terminated
+    samples = [np.moveaxis(a[:, : longest + 1], 0, 1) for a in (observations, outputs)]
+    steps_taken = [np.moveaxis(a[:, :longest], 0, 1) for a in (controls, rewards)]
+    return samples[0], samples[1], steps_taken[0], steps_taken[1], terminated
 
 
 def _stepwise(env: Any, policy: Any, observation: Array, batch: bool) -> Batch:
@@ -88,21 +95,26 @@ def _stepwise(env: Any, policy: Any, observation: Array, batch: bool) -> Batch:
     running = np.ones(len(observation) if batch else 1, dtype=bool)
     terminated_at_all = np.zeros_like(running)
     limit = env.unwrapped.nominal.input_limit
-    observations, controls, rewards = [np.atleast_2d(observation)], [], []
+    same_step = env.metadata.get("autoreset_mode") == AutoresetMode.SAME_STEP
+    observations, outputs, controls, rewards = [np.atleast_2d(observation)], [np.atleast_1d(env.unwrapped.output)], [], []
     while running.any():
         action, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
         observation, reward, terminated, truncated, info = env.step(action)
         start = np.zeros_like(start) if batch else None
         applied = limit * np.clip(np.asarray(action, dtype=float)[..., 0], -1.0, 1.0)
-        observations.append(np.where(running[:, None], _reached(observation, info), np.nan))
+        reached = _reached(observation, info)
+        observations.append(np.where(running[:, None], reached, np.nan))
         controls.append(np.where(running, applied, np.nan))
         rewards.append(np.where(running, np.asarray(reward), np.nan))
         terminated_at_all |= running & terminated
         ended = np.asarray(terminated) | np.asarray(truncated)
+        measured = layout.output_derivatives(reached)[:, 0]  # where the next episode has begun the true y is gone
+        true = np.where(ended & same_step, measured, env.unwrapped.output)
+        outputs.append(np.where(running, true, np.nan))
         running = running & ~ended
         if ended.any() and running.any() and env.metadata.get("autoreset_mode") == AutoresetMode.DISABLED:
             observation, _ = env.reset(options={"reset_mask": ended})
-    return np.array(observations), np.array(controls), np.array(rewards), terminated_at_all
+    return np.array(observations), np.array(outputs), np.array(controls), np.array(rewards), terminated_at_all
 
 
 def _reached(observation: Array, info: dict[str, Any]) -> Array:

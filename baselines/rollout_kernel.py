@@ -11,11 +11,11 @@ import numpy as np
 from numba import njit
 
 from {law} import control
-from {step} import advance
+from {step} import advance, output
 
 
 @njit(cache=True, nogil=True)
-def run(rows, settings, memory, law, observations, controls, rewards, terminated, start, stop):
+def run(rows, settings, memory, law, observations, outputs, controls, rewards, terminated, start, stop):
     """Episodes start to stop from their first observations (B, N+1, 3n+1) on; what follows an episode's end stays as it is."""
     limit = settings[2]
     for i in range(start, stop):
@@ -23,6 +23,7 @@ def run(rows, settings, memory, law, observations, controls, rewards, terminated
             action = control(observations[i, k], memory[i], k == 0, law) / limit
             controls[i, k] = limit * min(max(action, -1.0), 1.0)
             rewards[i, k], terminated[i], truncated = advance(rows[i], action, settings, observations[i, k + 1])
+            outputs[i, k + 1] = output(rows[i])
             if terminated[i] or truncated:
                 break
 '''

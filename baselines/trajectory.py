@@ -26,6 +26,7 @@ class Trajectory:
     control: Array  # (N,), physical u on [t_k, t_(k+1))
     reward: Array  # (N,)
     terminated: bool | npt.NDArray[np.bool_]  # left the region, in contrast to reached the horizon
+    output: Array | None = None  # (N+1,), the true y; None: as measured, output_derivatives[..., 0]
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.time.size < 2:
@@ -47,6 +48,8 @@ class Trajectory:
             "reward": (N, *batch),
             "terminated": batch,
         }
+        if self.output is not None:
+            shapes["output"] = (N + 1, *batch)
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"`{name}` must have shape {shape}, got {np.shape(getattr(self, name))}.")
@@ -63,8 +66,9 @@ class Trajectory:
 
     @property
     def error(self) -> Array:
-        """Tracking error y - y_d, shape (N+1, ...)."""
-        return self.output_derivatives[..., 0] - self.reference[..., 0]
+        """Tracking error y - y_d of the true y, shape (N+1, ...)."""
+        output = self.output_derivatives[..., 0] if self.output is None else self.output
+        return output - self.reference[..., 0]
 
     @property
     def steps(self) -> int | npt.NDArray[np.int64]:
@@ -85,4 +89,5 @@ class Trajectory:
                 control=self.control[holds],
                 reward=self.reward[holds],
                 terminated=bool(np.atleast_1d(self.terminated)[i]),
+                output=None if self.output is None else self.output[samples],
             )

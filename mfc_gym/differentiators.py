@@ -80,18 +80,18 @@ STIRLING = stirling_map(N_MAX)
 BACKSHIFT = taylor_map(N_MAX, -1.0)
 
 
-@njit(cache=True)
+@njit
 def limited(x: float) -> float:
     return min(max(x, -LARGE), LARGE)
 
 
-@njit(cache=True)
+@njit
 def largest_difference(bound: float, dt: float, n: int) -> float:
     """A = L dt^n, the bound of the n-th difference of y."""
     return min(max(bound, 1 / LARGE), LARGE) * dt**n
 
 
-@njit(cache=True)
+@njit
 def predict(memory: Array, measurement: float, dt: float) -> float:
     """memory <- Taylor polynomial one sample later, by Horner; returns the innovation b."""
     n = memory.size
@@ -103,7 +103,7 @@ def predict(memory: Array, measurement: float, dt: float) -> float:
     return limited(measurement) - memory[0]
 
 
-@njit(cache=True)
+@njit
 def correct(memory: Array, C: Array, dt: float, estimate: Array) -> None:
     """memory_i <- memory_i + dt^-i sum_j C_ij g_j; `estimate` brings the injections g, leaves with the new memory."""
     scale = 1.0
@@ -116,7 +116,7 @@ def correct(memory: Array, C: Array, dt: float, estimate: Array) -> None:
         scale *= dt
 
 
-@njit(cache=True)
+@njit
 def homogeneous_root(R: float, a: float, n: int) -> float:
     """p > 0 with F(p) = p^n + sum_(j=1..m) lt_j a^(n-j) p^j = R > 0.
 
@@ -136,7 +136,7 @@ def homogeneous_root(R: float, a: float, n: int) -> float:
     return p
 
 
-@njit(cache=True)
+@njit
 def ired(memory: Array, measurement: float, bound: float, dt: float, settings: Array, estimate: Array) -> None:
     """Implicit robust exact differentiator of order m = n - 1 [5]; no settings.
 
@@ -162,7 +162,7 @@ def ired(memory: Array, measurement: float, bound: float, dt: float, settings: A
     correct(memory, STIRLING, dt, estimate)
 
 
-@njit(cache=True)
+@njit
 def hdd(memory: Array, measurement: float, bound: float, dt: float, settings: Array, estimate: Array) -> None:
     """Homogeneous discrete-time differentiator of order m = n - 1 [4]; no settings; noise-free errors O(dt^(n-i)).
 
@@ -179,7 +179,7 @@ def hdd(memory: Array, measurement: float, bound: float, dt: float, settings: Ar
     correct(memory, BACKSHIFT, dt, estimate)
 
 
-@njit(cache=True)
+@njit
 def mixed_root(R: float, A: float, kappa: float, n: int) -> float:
     """p > 0 with F(p) = p^n + g_0 + ... + g_m - lambda_0 A = R > 0, g of `ired_linear`.
 
@@ -202,7 +202,7 @@ def mixed_root(R: float, A: float, kappa: float, n: int) -> float:
     return p
 
 
-@njit(cache=True)
+@njit
 def ired_linear(memory: Array, measurement: float, bound: float, dt: float, settings: Array, estimate: Array) -> None:
     """Levant's non-homogeneous differentiator [3], discretised like `ired`; settings = [rate of the linear terms, 1/s].
 
@@ -229,7 +229,7 @@ def ired_linear(memory: Array, measurement: float, bound: float, dt: float, sett
     correct(memory, STIRLING, dt, estimate)
 
 
-@njit(cache=True)
+@njit
 def high_gain(memory: Array, measurement: float, bound: float, dt: float, settings: Array, estimate: Array) -> None:
     """High-gain observer with binomial gains, settings = [bandwidth omega_o = 1/epsilon, rad/s].
 
@@ -246,7 +246,7 @@ def high_gain(memory: Array, measurement: float, bound: float, dt: float, settin
     correct(memory, STIRLING, dt, estimate)
 
 
-@njit(cache=True)
+@njit
 def dirty_derivative(
     memory: Array, measurement: float, bound: float, dt: float, settings: Array, estimate: Array
 ) -> None:
@@ -265,7 +265,7 @@ def dirty_derivative(
         memory[i] = estimate[i] = u
 
 
-@njit(cache=True)
+@njit
 def memory_is_estimate(memory: Array, estimate: Array) -> None:
     """Start from a guess [y, y', ..., y^(n-1)] at the sample before the first measurement."""
     for i in range(memory.size):
@@ -300,7 +300,7 @@ DIFFERENTIATORS: Mapping[str, Differentiator] = {
 }
 
 
-@njit(cache=True)
+@njit
 def bound_from_input(alpha: float, beta_u: float, delta_1: float, delta_3: float, floor: float) -> float:
     """L >= abs(y^(n)) = abs(alpha + Delta_1 + (1 + Delta_3) beta u) over the coming sample, from its start.
 
@@ -309,7 +309,7 @@ def bound_from_input(alpha: float, beta_u: float, delta_1: float, delta_3: float
     return max(floor, 1.2 * (abs(alpha) + delta_1 + (1 + delta_3) * abs(beta_u)))
 
 
-@njit(cache=True)
+@njit
 def run_time_bound(
     alpha: float, delta_1: float, delta_3: float, omega_star: float, v_tilde: float, Gamma: float, floor: float
 ) -> float:

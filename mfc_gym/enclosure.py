@@ -60,8 +60,7 @@ def derive_bounds(system: FlatSystem) -> dict[str, sp.Expr]:
     Raises ValueError if abs(Delta_3) reaches 1 in the theta box and no delta_3 is declared that says which theta count.
     """
     u = Uncertainty(system)
-    if u.delta_3 is None:
-        u.require_invertible_gain()
+    u.require_theta()
     bounds = dict(system.bounds)
     for name in BOUNDS:
         if name not in bounds:
@@ -75,16 +74,19 @@ def _derived(u: Uncertainty, name: str, known: Mapping[str, sp.Expr]) -> sp.Expr
         bound = triangle_bound(numerator, u.theta, denominator)
         if bound is not None and (name != "delta_3" or enclose(bound, u.region, budget=BUDGET // 10)[1] < 1):
             return bound
-    if denominator != 1:  # 1 + Delta_3 is at least 1 + low
-        low = max(u.range_3[0], -enclose(known["delta_3"], u.region, budget=BUDGET // 10)[1])
-        return known[f"delta_{name[-1]}"] / (1 - round_up(-low))
-    low, high = u.range_3 if name == "delta_3" else enclose(numerator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
+    if denominator != 1:
+        return known[f"delta_{name[-1]}"] / u.least_gain(known["delta_3"])
+    low, high = (
+        u.range_3 if name == "delta_3" else enclose(numerator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
+    )
     if not max(-low, high) < float("inf"):
         raise ValueError(f"`bounds` must give {name}: what it bounds could not be enclosed over region and theta.")
     return round_up(max(-low, high))
 
 
-def check_bounds(system: FlatSystem, *, rng: np.random.Generator | None = None, budget: int = BUDGET) -> dict[str, Verdict]:
+def check_bounds(
+    system: FlatSystem, *, rng: np.random.Generator | None = None, budget: int = BUDGET
+) -> dict[str, Verdict]:
     """The verdict on every declared bound, "proved" or "undecided" (no counterexample found).
 
     Raises ValueError with a counterexample if a bound does not hold, if delta_3 may reach 1, or if no theta is admissible;
@@ -92,9 +94,8 @@ def check_bounds(system: FlatSystem, *, rng: np.random.Generator | None = None, 
     """
     u = Uncertainty(system)
     rng = np.random.default_rng(0) if rng is None else rng
-    if u.delta_3 is None:
-        u.require_invertible_gain()
-    else:
+    u.require_theta()
+    if u.delta_3 is not None:
         below_one = prove_bound(u.delta_3, 1, u.region, strict=True)
         if below_one.status != "proved":
             raise ValueError(f"`bounds` must have delta_3 < 1 in the whole region, got {u.delta_3}.")
@@ -116,14 +117,9 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
         return Verdict("proved", 0.0)  # it is what makes a theta admissible
     numerator, denominator = u.quotient(name)
     tolerance = TOLERANCE * max(1.0, min(1e9, enclose(bound, u.region, budget=4000)[1]))
-    if denominator == 1 or u.uniform:
-        if proves(bound, numerator, denominator, u.region, u.theta, TOLERANCE):
-            return Verdict("proved", 0.0)
-        triangle = triangle_bound(numerator, u.theta, denominator)
-        if triangle is not None:
-            verdict = prove_bound(triangle, bound, u.region, tolerance=tolerance, budget=budget // 4)
-            if verdict.status == "proved":
-                return verdict
+    verdict = _separate_verdict(u, name, bound, budget, tolerance)
+    if verdict is not None:
+        return verdict
     found = falsify(sp.Abs(numerator), bound * denominator, u.box, rng, where=u.where, tolerance=tolerance)
     if found is not None:
         raise ValueError(_refusal(name, numerator / denominator, bound, found.point))
@@ -133,17 +129,36 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
     return verdict
 
 
+def _separate_verdict(u: Uncertainty, name: str, bound: sp.Expr, budget: int, tolerance: float) -> Verdict | None:
+    """Proof after theta has been separated from the state, None if there is none."""
+    numerator, denominator = u.quotient(name)
+    if denominator != 1 and not u.uniform:
+        gain = u.least_gain(u.delta_3 if u.delta_3 is not None else sp.S.One)
+        bound, denominator = bound * gain, sp.S.One
+    if proves(bound, numerator, denominator, u.region, u.theta, TOLERANCE):
+        return Verdict("proved", 0.0)
+    triangle = triangle_bound(numerator, u.theta, denominator)
+    if triangle is None:
+        return None
+    verdict = prove_bound(triangle, bound, u.region, tolerance=tolerance, budget=budget // 4)
+    return verdict if verdict.status == "proved" else None
+
+
 def _two_sided(
     expr: sp.Expr, bound: sp.Expr, box: Box, where: list[sp.Expr], budget: int, tolerance: float = TOLERANCE
 ) -> Verdict:
     """abs(expr) <= bound, each sign by itself: both are as smooth as expr."""
-    verdicts = [prove_bound(sign * expr, bound, box, where=where, tolerance=tolerance, budget=budget) for sign in (1, -1)]
+    verdicts = [
+        prove_bound(sign * expr, bound, box, where=where, tolerance=tolerance, budget=budget) for sign in (1, -1)
+    ]
     rank = {"proved": 0, "undecided": 1, "refuted": 2}
     return max(verdicts, key=lambda v: (rank[v.status], v.excess))
 
 
 def _refusal(name: str, expr: sp.Expr, bound: sp.Expr, point: Point) -> str:
-    meaning = {"delta_1": "Delta_1", "delta_3": "Delta_3", "delta_m": "phi_m"}.get(name, f"Delta_{name[-1]} / (1 + Delta_3)")
+    meaning = {"delta_1": "Delta_1", "delta_3": "Delta_3", "delta_m": "phi_m"}.get(
+        name, f"Delta_{name[-1]} / (1 + Delta_3)"
+    )
     value, limit = (float(abs(e.subs(point))) for e in (expr, bound))
     where = ", ".join(f"{s} = {v:.6g}" for s, v in sorted(point.items(), key=lambda item: item[0].name))
     return f"`bounds` {name} must bound abs({meaning}): {value:.6g} exceeds {limit:.6g} at {where}."

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_gym import rendering
-from mfc_gym.simulation import Settings, Simulation
+from mfc_gym.simulation import Simulation
 
 Array = NDArray[np.float64]
 
@@ -24,33 +24,10 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 (Gymnasium's own convention)
 
-    def __init__(
-        self,
-        system: str = "PerturbedChain",
-        scenario: str = "paper",
-        theta: tuple[float, ...] | None = None,
-        initial_state: tuple[float, ...] | None = None,
-        reference: str | None = None,
-        reference_parameters: dict[str, float] | None = None,
-        derivatives: str = "exact",
-        dt: float | None = None,
-        horizon: float | None = None,
-        input_limit: float | None = None,
-        cost: str = "absolute",
-        cost_max: float | None = None,
-        effort: float = 0.0,
-        tolerance: float = 1e-8,
-        substeps: int | None = None,
-        render_mode: str | None = None,
-        **options: Any,
-    ) -> None:
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"`render_mode` must be one of {self.metadata['render_modes']}, got {render_mode!r}.")
-        given = Settings(
-            system, scenario, theta, initial_state, reference, reference_parameters, derivatives, dt, horizon,
-            input_limit, cost, cost_max, effort, tolerance, substeps,
-        )  # fmt: skip
-        self.simulation = Simulation(given, options)
+        self.simulation = Simulation.from_keywords(options)
         self.render_mode = render_mode
         self.action_space = self.simulation.action_space  # type: ignore[assignment]
         self.observation_space = self.simulation.observation_space  # type: ignore[assignment]
@@ -73,6 +50,11 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         return self._episode()[None]
 
     @property
+    def output(self) -> float:
+        """The true y = h(x) now."""
+        return float(self.simulation.kernel.outputs(self.rows)[0])
+
+    @property
     def theta(self) -> Array:
         """The true uncertain parameters of this episode, shape (p,)."""
         return self.simulation.row_theta(self._episode()).copy()
@@ -85,7 +67,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
         self._row = self.simulation.begin(lambda _: self.np_random, options)[0]
-        observation = self.simulation.kernel.first_observation(self._row)
+        observation = self.simulation.kernel.first_observation(self._row, self.simulation.settings)
         if self._recorder is not None:
             self._recorder.begin(observation)
         return observation, {}

@@ -13,7 +13,9 @@ import sympy as sp
 
 from mfc_gym.complexity import expanded_terms
 
-FUNCTIONS: dict[str, tuple[Callable[..., sp.Expr], int, int]] = {  # name -> (meaning, least, largest number of arguments)
+FUNCTIONS: dict[
+    str, tuple[Callable[..., sp.Expr], int, int]
+] = {  # name -> (meaning, least, largest number of arguments)
     **{
         f: (getattr(sp, f), 1, 1)
         for f in ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "atan", "asin", "acos", "sinh", "cosh", "sign")
@@ -33,7 +35,9 @@ LENGTH, TOKENS, DEPTH, TERMS = 2000, 500, 80, 2000  # of the text, in it, of the
 CALL = 15  # what a function call counts for in depth: at most 5 calls within each other
 EXPONENT, DENOMINATOR = 16, 12  # largest abs(exponent), and denominator of a fractional one
 MAGNITUDE = 30  # decimal orders of a constant other than 0
-TOKEN = re.compile(r"(?P<number>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?(?![\w.]))|(?P<name>[A-Za-z_]\w*)|\*\*|[-+*/^(),]", re.ASCII)
+TOKEN = re.compile(
+    r"(?P<number>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?(?![\w.]))|(?P<name>[A-Za-z_]\w*)|\*\*|[-+*/^(),]", re.ASCII
+)
 GROWING = (sp.exp, sp.sinh, sp.cosh)
 PERIODIC = (sp.sin, sp.cos, sp.tan, sp.tanh)
 
@@ -92,7 +96,9 @@ class _Reader:
             if token["name"] and word not in self.names and word not in FUNCTIONS and word != "pi":
                 raise self.refusal(f"the name {word!r} is unknown", position)
             if token["number"] and not _moderate(word):
-                raise self.refusal(f"the number {word[:40]} is out of range, 0 or 1e-{MAGNITUDE} to 1e{MAGNITUDE}", position)
+                raise self.refusal(
+                    f"the number {word[:40]} is out of range, 0 or 1e-{MAGNITUDE} to 1e{MAGNITUDE}", position
+                )
             position = token.end()
         if count == 0:
             raise self.refusal("the expression is empty", 0)

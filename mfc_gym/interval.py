@@ -86,12 +86,12 @@ def general_power(base: Interval, exponent: Interval) -> Interval:
 
 def exponential(x: Interval) -> Interval:
     require(libmp.mpf_lt(x[1], EXPONENT))
-    return libmpi.mpi_exp(x, BITS)
+    return monotone(libmp.mpf_exp, x)  # `mpi_exp` may round 1 + tiny to 1 in both directions
 
 
 def logarithm(x: Interval) -> Interval:
     require(libmp.mpf_sign(x[0]) > 0)
-    return libmpi.mpi_log(x, BITS)
+    return monotone(libmp.mpf_log, x)
 
 
 def periodic(function: Callable, x: Interval) -> Interval:

@@ -90,5 +90,9 @@ def _floats(x: Interval | None) -> Ends:
     low, high = map(libmp.to_float, x)
     if not -HUGE < low <= high < HUGE:
         return REALS
-    # below the normal numbers a float has fewer than 53 bits
-    return (low if abs(low) > TINY else -TINY if low < 0 else 0.0), (high if abs(high) > TINY else TINY if high > 0 else 0.0)
+    # below the normal numbers a float has fewer than 53 bits, or is zero
+    signs = [libmp.mpf_sign(end) for end in x]
+    return (
+        low if abs(low) > TINY or signs[0] == 0 else -TINY if signs[0] < 0 else 0.0,
+        high if abs(high) > TINY or signs[1] == 0 else TINY if signs[1] > 0 else 0.0,
+    )

@@ -25,6 +25,7 @@ GENERATORS = (  # the modules that take part in writing kernels
     *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity"),
     *("enclosure", "interval", "interval_function", "branch_and_bound"),
     *("domain", "falsification", "termwise", "triangle", "uncertainty"),
+    *("plant_entries", "toml_lines"),
 )
 
 

@@ -127,7 +127,9 @@ def task(value: Any, states: Sequence[str], theta: Mapping[str, Interval]) -> Ta
             read[key] = number(entry, path, positive=True)
     for i, (given, (name, (low, high))) in enumerate(zip(read.get("theta", ()), theta.items(), strict=False)):
         if not low <= given <= high:
-            raise EntryError(("task", "theta", i), f"`theta` must lie in its set, {name} = {given} not in [{low}, {high}].")
+            raise EntryError(
+                ("task", "theta", i), f"`theta` must lie in its set, {name} = {given} not in [{low}, {high}]."
+            )
     return Task(**read)
 
 

@@ -36,8 +36,8 @@ def load_plant(path: str | os.PathLike[str]) -> FlatSystem:
     except RecursionError:
         raise ValueError(f"{path}: the file is nested too deeply.") from None
     except ValueError as error:
-        line = re.search(r"at line (\d+)", str(error))
-        place = f", line {line.group(1)}" if line else ""
+        found = re.search(r"at line (\d+)", str(error))
+        place = f", line {found.group(1)}" if found else ""
         reason = re.sub(r" \(at .*\)", "", str(error))[:200]
         raise ValueError(f"{path}{place}: this is not valid TOML: {reason}.") from None
     try:
@@ -136,7 +136,11 @@ def _check_initial_state(system: FlatSystem) -> None:
     task = system.task
     for i, (name, value) in enumerate(zip(system.state, task.initial_state or (), strict=False)):
         if not region[name][0] <= value <= region[name][1]:
-            raise EntryError(("task", "initial_state", i), f"`initial_state` must lie in the region, got {name} = {value}.")
+            raise EntryError(
+                ("task", "initial_state", i), f"`initial_state` must lie in the region, got {name} = {value}."
+            )
     for name, (low, high) in task.initial_set.items():
         if not region[name][0] <= low < high <= region[name][1]:
-            raise EntryError(("task", "initial_set", name), f"`initial_set` must lie in the region, got [{low}, {high}].")
+            raise EntryError(
+                ("task", "initial_set", name), f"`initial_set` must lie in the region, got [{low}, {high}]."
+            )

@@ -10,16 +10,18 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import observation, plant, references, stepping
+from mfc_gym import observation, plant, references, sensors, stepping
+from mfc_gym.differentiators import DIFFERENTIATORS
 from mfc_gym.nominal import NominalModel
 from mfc_gym.reward import COSTS
+from mfc_gym.sensors import Sensors
 from mfc_gym.substeps import choose_substeps
 
 Array = NDArray[np.float64]
 Indices = Sequence[int] | NDArray[np.intp]
 SCENARIOS = ("paper", "random")
-DERIVATIVES = ("exact",)
-RESET_OPTIONS = ("initial_state", "theta", "reference_parameters")
+DERIVATIVES = ("exact", *DIFFERENTIATORS)
+RESET_OPTIONS = ("initial_state", "theta", "reference_parameters", "initial_estimate")
 TABULATED = 20_000  # samples of the reference that are kept, at most
 DRAWS = 10_000  # attempts to draw an admissible theta
 
@@ -34,7 +36,9 @@ class Settings:
     initial_state: tuple[float, ...] | None = None
     reference: str | None = None
     reference_parameters: Mapping[str, float] | None = None
-    derivatives: str = "exact"
+    derivatives: str = "exact"  # how xi_n is obtained: exactly, or by a differentiator on the sampled y
+    differentiator: Mapping[str, float] | None = None  # its settings, see `mfc_gym.differentiators`
+    sensors: Mapping[str, Any] | None = None  # see `mfc_gym.sensors.Sensors`
     dt: float | None = None  # s
     horizon: float | None = None  # s
     input_limit: float | None = None
@@ -71,7 +75,8 @@ class Simulation:
         own = task.reference_parameters if given.reference in (None, task.reference) else {}
         self.reference_parameters = dict(own) | _dict("reference_parameters", given.reference_parameters)
         parameters = self.reference.parameters(self.reference_parameters)
-        self.kernel = stepping.load(self.plant, self.reference, given.cost)
+        self.sensors, tuning = _measurement(given)
+        self.kernel = stepping.load(self.plant, self.reference, given.cost, self.sensors, given.derivatives)
         self.low, self.high = self.plant.region(self.input_limit)
         self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, task.model_pole, task.process_pole)
         p = len(self.plant.theta)
@@ -82,7 +87,8 @@ class Simulation:
         self.initial_state = _vector(
             "initial_state", origin if given.initial_state is None else given.initial_state, self.plant.order
         )
-        self._start = np.concatenate([self.initial_state, self.theta, parameters, [0.0]])
+        memory = np.full(stepping.sensor_memory(self.plant.order, self.sensors), np.nan)
+        self._start = np.concatenate([self.initial_state, self.theta, parameters, memory, [0.0]])
         self._check(self._start[None])
         self._theta_is_drawn = given.theta is None
         self._columns, self._sets = self._drawn(given.initial_state is None)
@@ -95,7 +101,7 @@ class Simulation:
         else:
             raise ValueError(f"`substeps` must be an integer >= 1, got {given.substeps!r}.")
         self.settings = np.array(
-            [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort, *self.low, *self.high]
+            [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort, *self.low, *self.high, *tuning]
         )
 
     @classmethod
@@ -169,6 +175,8 @@ class Simulation:
         rows[:] = self._start
         if self.scenario == "random":
             self._draw(rows, [stream(int(i)) for i in chosen])
+        if self.sensors is not None:
+            rows[:, self._memory] = [stream(int(i)).integers(sensors.KEYS) for i in chosen]
         for columns, values in given:
             rows[:, columns] = values
         if given:
@@ -187,16 +195,28 @@ class Simulation:
 
     def row_reference(self, row: Array) -> Array:
         """The reference parameters of an episode."""
-        n = self.plant.order + len(self.plant.theta)
-        return row[..., n:-1]
+        start = self.plant.order + len(self.plant.theta)
+        return row[..., start : start + len(self.reference.defaults)]
+
+    @property
+    def _memory(self) -> int:
+        """Where the sensor memory of a row begins."""
+        return self.plant.order + len(self.plant.theta) + len(self.reference.defaults)
 
     def _given(self, options: dict[str, Any], chosen: Indices, num_envs: int | None) -> list[tuple[Any, Any]]:
         """(columns of the rows, their values) that the options of a reset ask for."""
         n, p = self.plant.order, len(self.plant.theta)
         given: list[tuple[Any, Any]] = []
-        for name, columns in (("initial_state", slice(n)), ("theta", slice(n, n + p))):
+        if self.sensors is None and "initial_estimate" in options:
+            raise ValueError("`initial_estimate` must come with a differentiator, got derivatives = 'exact'.")
+        first = self._memory + 2 + n
+        for name, columns, size in (
+            ("initial_state", slice(n), n),
+            ("theta", slice(n, n + p), p),
+            ("initial_estimate", slice(first, first + n), n),
+        ):
             if name in options:
-                values = _vector(name, options[name], len(range(n + p)[columns]), num_envs)
+                values = _vector(name, options[name], size, num_envs)
                 given.append((columns, values if values.ndim == 1 else values[chosen]))
         parameters = _dict("reference_parameters", options.get("reference_parameters"))
         each = {name: np.asarray(v) for name, v in parameters.items() if num_envs is not None and np.ndim(v)}
@@ -260,6 +280,24 @@ class Simulation:
                 f"`theta` must keep abs(Delta_3) <= delta_3 = {delta_3:g}, "
                 f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{where[i]}."
             )
+
+
+def _measurement(given: Settings) -> tuple[Sensors | None, list[float]]:
+    """The sensors (None: x and xi_n are known exactly) and their part of the step's settings."""
+    sensors = Sensors.of(given.sensors)
+    if given.derivatives == "exact":
+        if sensors != Sensors() or given.differentiator:
+            raise ValueError(
+                "`sensors` and `differentiator` must come with derivatives = one of "
+                f"{sorted(DIFFERENTIATORS)}, got derivatives = 'exact'."
+            )
+        return None, []
+    tuning = dict(DIFFERENTIATORS[given.derivatives].settings)
+    own = _dict("differentiator", given.differentiator)
+    if unknown := set(own) - set(tuning):
+        raise ValueError(f"`differentiator` must have keys among {sorted(tuning)}, got {sorted(map(str, unknown))}.")
+    tuning |= {name: _positive(f"{name} of the differentiator", value) for name, value in own.items()}
+    return sensors, [sensors.noise, sensors.state_noise, sensors.quantisation, sensors.dropout, *tuning.values()]
 
 
 def _uniform(streams: Sequence[np.random.Generator], low: Array, high: Array) -> Array:

@@ -1,7 +1,9 @@
 """The compiled step of the environment: zero-order hold, plant, clock, measurement, reward. Scalar and batch share it.
 
-An episode is one row of numbers, [x (n), theta (p), reference parameters (r), clock]; what all episodes share is `settings`,
-[dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)].
+An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), clock]; what all episodes
+share is `settings`, [dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)] and, with sensors that are not
+ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator]. The sensor memory is
+[key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN: nothing measured yet.
 """
 
 from types import ModuleType
@@ -10,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_gym import kernels
+from mfc_gym.differentiators import DIFFERENTIATORS
 from mfc_gym.plant import Plant
 from mfc_gym.references import Reference
+from mfc_gym.sensors import Sensors
 
 Array = NDArray[np.float64]
 
@@ -28,13 +32,20 @@ from mfc_gym.reward import {cost} as cost
 from {nominal} import bounds
 from {plant} import integrate, is_inside, is_near, output_derivatives, rk4, uncertainty
 
+{sensing}
 
 @njit
-def observe_plant(row, observation):
+def observe_plant(row, settings, observation):
     """Writes [x, xi_n]."""
     {state} = {state_of_row}
-    {observed_state} = {state}
-    {observed_derivatives} = output_derivatives({arguments})
+    {observe_plant}
+
+
+@njit
+def output(row):
+    """The true y."""
+    {state} = {state_of_row}
+    return output_derivatives({arguments})[0]
 
 
 @njit
@@ -62,21 +73,21 @@ def conclude(error, u, inside, clock, settings):
 def advance(row, action, settings, observation):
     """One sampling interval: (reward, terminated, truncated); row and observation are updated."""
     dt, substeps, u = settings[0], int(settings[1]), saturated(action, settings)
-    low, high = settings[6:{high_start}], settings[{high_start}:]
+    low, high = settings[6:{high_start}], settings[{high_start}:{high_end}]
     {state} = {state_of_row}
     {state}, inside = integrate({arguments}, u, dt / substeps, substeps, low, high)
     {state_of_row} = {state}
     row[{clock}] += 1.0
-    observe_plant(row, observation)
+    {observe_step}
     observe_reference(row, row[{clock}] * dt, observation)
-    return conclude(observation[{output}] - observation[{reference_start}], u, inside, row[{clock}], settings)
+    return conclude(output(row) - observation[{reference_start}], u, inside, row[{clock}], settings)
 
 
 @njit(cache=True, nogil=True)
-def first_observation(row):
+def first_observation(row, settings):
     """The observation at time 0."""
     observation = np.empty({size})
-    observe_plant(row, observation)
+    observe_plant(row, settings, observation)
     observe_reference(row, 0.0, observation)
     return observation
 
@@ -131,8 +142,7 @@ def advance_all(
             {state_of_columns} = {state_of_block}
         for j in range(count):
             i = np.uintp(first + j)
-            {observed_states} = {state_of_block}
-            {observed_derivatives_of_block} = output_derivatives({block_arguments})
+            {observe_block}
         if tabulated:
             for j in range(count):
                 i = np.uintp(first + j)
@@ -143,7 +153,7 @@ def advance_all(
                 reference(columns[{clock}, i] * settings[0], columns[{reference_slice}, i], observations[i, {reference_start}:])
         for j in range(count):
             i = np.uintp(first + j)
-            error = observations[i, {output}] - observations[i, {reference_start}]
+            error = {output_of_block} - observations[i, {reference_start}]
             gain, ends, is_last = conclude(error, u[j], inside[j], columns[{clock}, i], settings)
             rewards[i] = gain if active[i] else 0.0
             terminated[i] = ends & active[i]
@@ -158,15 +168,26 @@ def tabulate(parameters, dt, table):
 
 
 @njit(cache=True, nogil=True)
-def observe_all(columns, dt, chosen, observations):
+def observe_all(columns, settings, chosen, observations):
     """The observations of the chosen episodes as they are."""
     row = np.empty({clock} + 1)
     for i in range(observations.shape[0]):
         if chosen[i]:
             for k in range(row.size):
                 row[k] = columns[k, i]
-            observe_plant(row, observations[i])
-            observe_reference(row, row[{clock}] * dt, observations[i])
+            observe_plant(row, settings, observations[i])
+            observe_reference(row, row[{clock}] * settings[0], observations[i])
+            for k in range({sensor_start}, {clock}):
+                columns[k, i] = row[k]
+
+
+@njit(cache=True, nogil=True)
+def outputs(rows):
+    """The true y of each row."""
+    out = np.empty(rows.shape[0])
+    for i in range(rows.shape[0]):
+        out[i] = output(rows[i])
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -182,44 +203,144 @@ def gain_uncertainty(rows):
 '''
 
 
-def load(plant: Plant, reference: Reference, cost: str) -> ModuleType:
-    """The compiled step of this plant, reference family and cost."""
+IDEAL = {
+    "sensing": "",
+    "observe_plant": """{observed_state} = {state}
+    {observed_derivatives} = output_derivatives({arguments})""",
+    "observe_step": "observe_plant(row, settings, observation)",
+    "observe_block": """{observed_states} = {state_of_block}
+            {observed_derivatives_of_block} = output_derivatives({block_arguments})""",
+    "output_of_block": "observations[i, {output}]",
+}
+
+SENSED = {
+    "sensing": """from mfc_gym.differentiators import bound_from_input
+from mfc_gym.differentiators import {differentiator} as differentiate
+from mfc_gym.sensors import DROPOUT, OUTPUT, STATE, quantised, random
+from mfc_gym.sensors import {distribution} as noise
+from {nominal} import coordinates, lie_terms
+
+
+@njit
+def read(memory, observation):
+    # [x, xi_n] as last measured
+    for i in range(2 * {n}):
+        observation[i] = memory[2 + i]
+
+
+@njit
+def sense(memory, {state}, y, u, sample, settings, observation):
+    # measures x and y, steps the differentiator, writes [x, xi_n]; u acted over the last interval
+    key = memory[0]
+    received = quantised(y + settings[{sensors}] * noise(key, sample, OUTPUT), settings[{sensors} + 2])
+    if sample > 0.0 and random(key, sample, DROPOUT) < settings[{sensors} + 3]:
+        received = memory[1]
+    memory[1] = received
+    for i, value in enumerate(({state})):
+        observation[i] = value + settings[{sensors} + 1] * noise(key, sample, STATE + i)
+    if {delay} > 0:
+        for k in range({delay}):
+            slot = {ring} + k * {n1}
+            if sample == 0.0 or k == int(sample) % {delay}:
+                before = memory[slot + {n}]
+                memory[slot + {n}] = received
+                if sample > 0.0:
+                    received = before
+                for i in range({n}):
+                    before = memory[slot + i]
+                    memory[slot + i] = observation[i]
+                    if sample > 0.0:
+                        observation[i] = before
+    {state} = {observed_state}
+    if sample > 0.0:
+        alpha, beta = lie_terms({state})
+        known = bounds({state})
+        bound = bound_from_input(alpha, beta * u, known[0], known[1], {floor} * abs(beta) * settings[2])
+        tuning = settings[{sensors} + 4 :]
+        differentiate(memory[{estimate}:{ring}], received, bound, settings[0], tuning, observation[{n} : {n2}])
+    elif np.isnan(memory[{estimate}]):
+        {observed_derivatives} = coordinates({state})
+    else:
+        observation[{n} : {n2}] = memory[{estimate}:{ring}]
+    for i in range(2 * {n}):
+        memory[2 + i] = observation[i]
+""",
+    "observe_plant": """memory = row[{sensor_start}:{clock}]
+    if np.isnan(memory[1]):
+        sense(memory, {state}, output(row), 0.0, 0.0, settings, observation)
+    else:
+        read(memory, observation)""",
+    "observe_step": "sense(row[{sensor_start}:{clock}], {state}, output(row), u, row[{clock}], settings, observation)",
+    "observe_block": """memory = columns[{sensor_start}:{clock}, i]
+            if active[i] or np.isnan(memory[1]):
+                y = output_derivatives({block_arguments})[0]
+                sense(memory, {state_of_block}, y, u[j], columns[{clock}, i], settings, observations[i])
+            else:
+                read(memory, observations[i])""",
+    "output_of_block": "output_derivatives({block_arguments})[0]",
+}
+FLOOR = 0.1  # of the largest y^(n) that the input can ask for: smallest bound of the differentiator
+
+
+def sensor_memory(n: int, sensors: Sensors | None) -> int:
+    """Numbers of sensor memory per episode, m."""
+    return 0 if sensors is None else 2 + 2 * n + sensors.delay * (n + 1)
+
+
+def load(
+    plant: Plant, reference: Reference, cost: str, sensors: Sensors | None = None, derivatives: str = "exact"
+) -> ModuleType:
+    """The compiled step of this plant, reference family and cost; `sensors` None: x and xi_n are known exactly."""
     n, p, r = plant.order, len(plant.theta), len(reference.defaults)
     name = reference.derivatives.__name__
-    state, clock = [f"x{i + 1}" for i in range(n)], n + p + r
+    start = n + p + r
+    state, clock = [f"x{i + 1}" for i in range(n)], start + sensor_memory(n, sensors)
     block = [*(f"x[{i}, j]" for i in range(n)), *(f"theta[{i}, j]" for i in range(p))]
-    source = TEMPLATE.format(
-        reference=name,
-        cost=cost,
-        plant=plant.kernel.__name__,
-        nominal=plant.nominal.__name__,
-        n=n,
-        p=p,
-        block=BLOCK,
-        state=", ".join(state),
-        state_of_row=", ".join(f"row[{i}]" for i in range(n)),
-        state_of_block=", ".join(block[:n]),
-        arguments=", ".join([*state, *(f"row[{n + i}]" for i in range(p))]),
-        block_arguments=", ".join(block),
-        start_of_columns=", ".join(f"columns[{i}, i]" for i in range(n + p)),
-        state_of_columns=", ".join(f"columns[{i}, i]" for i in range(n)),
-        next_state=", ".join(f"n{s}" for s in state),
-        block_update="\n".join(f"            x[{i}, j] = n{s} if moves else x[{i}, j]" for i, s in enumerate(state)),
-        low="(" + "".join(f"settings[{6 + i}], " for i in range(n)) + ")",
-        high="(" + "".join(f"settings[{6 + n + i}], " for i in range(n)) + ")",
-        observed_states=", ".join(f"observations[i, {k}]" for k in range(n)),
-        observed_derivatives_of_block=", ".join(f"observations[i, {n + k}]" for k in range(n)),
-        observed_references=", ".join(f"observations[i, {2 * n + k}]" for k in range(n + 1)),
-        references_of_table=", ".join(f"table[k, {k}]" for k in range(n + 1)),
-        same_reference=" & ".join(f"(columns[{n + p + k}, i] == given[{k}])" for k in range(r)),
-        observed_state=", ".join(f"observation[{i}]" for i in range(n)),
-        observed_derivatives=", ".join(f"observation[{n + i}]" for i in range(n)),
-        output=n,
-        reference_slice=f"{n + p}:{clock}",
-        reference_start=2 * n,
-        high_start=6 + n,
-        clock=clock,
-        size=3 * n + 1,
-    )
-    hashed = kernels.key(source, kernels.fingerprint(*kernels.files("mfc_gym", "references", "reward")))
-    return kernels.load(f"mfc_step_{hashed}", lambda: source)
+    words = {
+        "reference": name,
+        "cost": cost,
+        "plant": plant.kernel.__name__,
+        "nominal": plant.nominal.__name__,
+        "n": n,
+        "n1": n + 1,
+        "n2": 2 * n,
+        "p": p,
+        "block": BLOCK,
+        "state": ", ".join(state),
+        "state_of_row": ", ".join(f"row[{i}]" for i in range(n)),
+        "state_of_block": ", ".join(block[:n]),
+        "arguments": ", ".join([*state, *(f"row[{n + i}]" for i in range(p))]),
+        "block_arguments": ", ".join(block),
+        "start_of_columns": ", ".join(f"columns[{i}, i]" for i in range(n + p)),
+        "state_of_columns": ", ".join(f"columns[{i}, i]" for i in range(n)),
+        "next_state": ", ".join(f"n{s}" for s in state),
+        "block_update": "\n".join(f"            x[{i}, j] = n{s} if moves else x[{i}, j]" for i, s in enumerate(state)),
+        "low": "(" + "".join(f"settings[{6 + i}], " for i in range(n)) + ")",
+        "high": "(" + "".join(f"settings[{6 + n + i}], " for i in range(n)) + ")",
+        "observed_states": ", ".join(f"observations[i, {k}]" for k in range(n)),
+        "observed_derivatives_of_block": ", ".join(f"observations[i, {n + k}]" for k in range(n)),
+        "observed_references": ", ".join(f"observations[i, {2 * n + k}]" for k in range(n + 1)),
+        "references_of_table": ", ".join(f"table[k, {k}]" for k in range(n + 1)),
+        "same_reference": " & ".join(f"(columns[{n + p + k}, i] == given[{k}])" for k in range(r)),
+        "observed_state": ", ".join(f"observation[{i}]" for i in range(n)),
+        "observed_derivatives": ", ".join(f"observation[{n + i}]" for i in range(n)),
+        "output": n,
+        "reference_slice": f"{n + p}:{start}",
+        "reference_start": 2 * n,
+        "high_start": 6 + n,
+        "high_end": 6 + 2 * n,
+        "sensors": 6 + 2 * n,
+        "sensor_start": start,
+        "estimate": 2 + n,
+        "ring": 2 + 2 * n,
+        "delay": sensors.delay if sensors else 0,
+        "distribution": sensors.distribution if sensors else "",
+        "differentiator": DIFFERENTIATORS[derivatives].update.__name__ if sensors else "",
+        "floor": FLOOR,
+        "clock": clock,
+        "size": 3 * n + 1,
+    }
+    parts = {key: text.format(**words) for key, text in (SENSED if sensors else IDEAL).items()}
+    source = TEMPLATE.format(**words, **parts)
+    library = kernels.files("mfc_gym", "references", "reward", "sensors", "differentiators")
+    return kernels.load(f"mfc_step_{kernels.key(source, kernels.fingerprint(*library))}", lambda: source)

@@ -34,7 +34,9 @@ def nonnegative_terms(bound: sp.Expr) -> Iterator[sp.Expr]:
             yield from (t for summand in split.args for t in nonnegative_terms(rest * summand))
 
 
-def proves(bound: sp.Expr, expression: sp.Expr, divisor: sp.Expr, region: Box, theta: ThetaSet, tolerance: float) -> bool:
+def proves(
+    bound: sp.Expr, expression: sp.Expr, divisor: sp.Expr, region: Box, theta: ThetaSet, tolerance: float
+) -> bool:
     """Whether abs(expression / divisor(theta)) <= bound (1 + tolerance) follows term by term."""
     terms = [sp.nsimplify(t, rational=True) for t in nonnegative_terms(bound) if t != 0]
     parts = coefficients(expression, list(theta.box))
@@ -66,7 +68,9 @@ def _monomials(expressions: Sequence[sp.Expr]) -> list[dict[sp.Expr, sp.Expr]]:
         common = sp.lcm(common, denominator)
     forms = []
     for numerator, denominator in fractions:
-        polynomial = sp.expand(sp.expand(numerator * sp.cancel(common / denominator)).replace(_is_square_of_cosine, _as_sine))
+        polynomial = sp.expand(
+            sp.expand(numerator * sp.cancel(common / denominator)).replace(_is_square_of_cosine, _as_sine)
+        )
         form: dict[sp.Expr, sp.Expr] = {}
         for term in sp.Add.make_args(polynomial):
             number, monomial = term.as_coeff_Mul()
@@ -143,4 +147,6 @@ def _sparsest(particular: Array, null: Array, weights: Array, limits: Array) -> 
     limit = np.concatenate([-size_0, size_0, 1 - share_0, 1 + share_0]) + 1e-10
     cost = np.concatenate([np.zeros(free * terms), np.ones(len(size))])
     solution = linprog(cost, A_ub=matrix, b_ub=limit, bounds=(None, None))
-    return np.zeros((free, terms)) if solution.x is None else np.asarray(solution.x[: free * terms]).reshape(free, terms)
+    return (
+        np.zeros((free, terms)) if solution.x is None else np.asarray(solution.x[: free * terms]).reshape(free, terms)
+    )

@@ -11,7 +11,7 @@ import sympy as sp
 from mfc_gym.branch_and_bound import Box, enclose
 from mfc_gym.flat_system import INPUT_LIMIT, FlatSystem
 from mfc_gym.interval_function import Ends, IntervalFunction
-from mfc_gym.triangle import ROUNDING, ThetaSet
+from mfc_gym.triangle import ROUNDING, ThetaSet, round_up
 
 
 def region_box(system: FlatSystem) -> dict[sp.Symbol, Ends]:
@@ -19,7 +19,7 @@ def region_box(system: FlatSystem) -> dict[sp.Symbol, Ends]:
     limit = {INPUT_LIMIT: sp.Rational(system.task.input_limit)}
     box = {}
     for x, interval in zip(system.x, system.region.values(), strict=True):
-        (low, _), (_, high) = IntervalFunction([e.subs(limit) for e in interval], ())([])
+        (low, _), (_, high) = IntervalFunction([sp.sympify(e).subs(limit) for e in interval], ())([])
         if not float("-inf") < low < high < float("inf"):
             raise ValueError(f"`region` must have low < high for {x}, got [{interval[0]}, {interval[1]}].")
         box[x] = (low, high)
@@ -56,10 +56,7 @@ class Uncertainty:
         if self.delta_3 is None or not self.uniform:
             return None
         limit = enclose(self.delta_3, self.region)[1]
-        low, high = self.range_3
-        if low > limit or high < -limit:
-            raise ValueError(f"`bounds` delta_3 = {self.delta_3} must admit some theta, none has abs(Delta_3) <= delta_3.")
-        return None if max(-low, high) <= limit * (1 + ROUNDING) else limit
+        return None if max(-self.range_3[0], self.range_3[1]) <= limit * (1 + ROUNDING) else limit
 
     @property
     def theta(self) -> ThetaSet:
@@ -75,6 +72,11 @@ class Uncertainty:
         limit = self.delta_3 * (1 + sp.Rational(ROUNDING))
         return [self.Delta_3 - limit, -self.Delta_3 - limit]
 
+    def least_gain(self, delta_3: sp.Expr) -> sp.Expr:
+        """A lower bound of 1 + Delta_3 for admissible theta, delta_3 bounding abs(Delta_3)."""
+        low = max(self.range_3[0], -enclose(delta_3, self.region, budget=40_000)[1])
+        return 1 - round_up(-low)
+
     def quotient(self, bound: str) -> tuple[sp.Expr, sp.Expr]:
         """(numerator, denominator) of what `bound` bounds."""
         one = sp.S.One
@@ -86,9 +88,19 @@ class Uncertainty:
             "sharp_3": (self.Delta_3, one + self.Delta_3),
         }[bound]
 
-    def require_invertible_gain(self) -> None:
-        """Refuse a theta box that reaches abs(Delta_3) >= 1, naming theta and the nominal input gain that would do better."""
+    def require_theta(self) -> None:
+        """Refuse a delta_3 that no theta meets; without one, a theta box that reaches abs(Delta_3) >= 1.
+
+        The latter names theta and the nominal input gain that would do better.
+        """
         low, high = self.range_3
+        if self.delta_3 is not None:
+            limit = self.limit_3
+            if limit is not None and (low > limit or high < -limit):
+                raise ValueError(
+                    f"`bounds` delta_3 = {self.delta_3} must admit some theta, none has abs(Delta_3) <= delta_3."
+                )
+            return
         if max(-low, high) < 1:
             return
         gain_low, gain_high = 1 + low, 1 + high

@@ -87,6 +87,11 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         return np.ascontiguousarray(self._columns.T)
 
     @property
+    def output(self) -> Array:
+        """The true y = h(x) now, shape (num_envs,)."""
+        return np.asarray(self.simulation.kernel.outputs(self.rows))
+
+    @property
     def theta(self) -> Array:
         """The true uncertain parameters of the episodes, shape (num_envs, p)."""
         return self.simulation.row_theta(self.rows)
@@ -143,7 +148,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._columns[:, chosen] = self.simulation.begin(self._streams, options, chosen, self.num_envs).T
 
     def _observe(self, chosen: Mask, observations: Array) -> None:
-        self.simulation.kernel.observe_all(self._columns, self.dt, chosen, observations)
+        self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, observations)
 
     def _advance(self, values: Array, active: Mask, *results: Array) -> None:
         """The kernel, the first span here and the others in further threads."""

@@ -1,7 +1,9 @@
 """Enclosures contain what they must and are tight; bounds are proved, or refuted with a point that breaks them."""
 
 import importlib
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from math import inf, pi, sqrt
 
 import mpmath
@@ -41,6 +43,11 @@ reals = st.floats(-20, 20, allow_subnormal=False)
 widths = st.one_of(st.just(0.0), st.floats(0, 1e-6), st.floats(0, 5))
 
 
+@cache
+def exact(expression: sp.Expr) -> Callable:
+    return sp.lambdify([x, y], expression, "mpmath")
+
+
 @pytest.mark.parametrize("expression", FUNCTIONS, ids=str)
 @settings(max_examples=40)
 @given(st.tuples(reals, reals), st.tuples(widths, widths), st.tuples(st.floats(0, 1), st.floats(0, 1)))
@@ -54,7 +61,7 @@ def test_an_interval_contains_every_value(
         return
     point = [min(p + s * w, p + w) for p, w, s in zip(low, width, share, strict=True)]
     with mpmath.workdps(40):
-        value = sp.lambdify([x, y], expression, "mpmath")(*map(mpmath.mpf, point))
+        value = exact(expression)(*map(mpmath.mpf, point))
         assert mpmath.im(value) == 0
         assert mpmath.mpf(bottom) <= value <= mpmath.mpf(top)
 
@@ -102,7 +109,7 @@ BOX = {x: (-1.0, 2.0), y: (-3.0, 1.0), z: (0.0, 1.0), a: (-2.0, 2.0), b: (-2.0, 
         (x - x**3, (-6, 2 / (3 * sqrt(3)))),
         (x * y - x**2 * y + z, (-2, 7)),
         (sp.Abs(x) - sp.Abs(x + y), (-3, 2)),
-        (sp.Max(x, y) - sp.Min(x, y), (0, 5)),
+        (sp.Max(x, y) + sp.Min(x, z), (-2, 3)),
         (sp.sqrt(x + 1) * sp.exp(-(y**2)), (0, sqrt(3))),
         (x / (1 + x**2), (-0.5, 0.5)),
         (sp.sin(a) ** 2 + sp.cos(a) ** 2, (1, 1)),
@@ -127,7 +134,10 @@ def test_an_enclosure_on_a_part_of_the_box() -> None:
 
 
 @settings(max_examples=30)
-@given(st.lists(st.tuples(st.integers(-3, 3), st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=4), st.integers(0, 3))
+@given(
+    st.lists(st.tuples(st.integers(-3, 3), st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=4),
+    st.integers(0, 3),
+)
 def test_an_enclosure_contains_samples(terms: list[tuple[int, int, int]], kind: int) -> None:
     """Random polynomials, in Abs, Max and sine, with a small budget: whatever was not refined must still be covered."""
     p = sp.Add(*(c * x**m * y**n for c, m, n in terms))
@@ -145,7 +155,7 @@ def test_a_bound_is_proved_refuted_or_left_undecided() -> None:
     assert refuted.status == "refuted"
     assert refuted.point is not None
     assert float((x**2 * y).subs(refuted.point)) - 3.99 >= refuted.excess > 0
-    undecided = prove_bound(x**2 + y**2 + sp.sin(x * y * z), 12, BOX, budget=1)
+    undecided = prove_bound(sp.sin(3 * x * y) * sp.cos(5 * y * z), 0.99999, BOX, budget=1)
     assert undecided.status == "undecided"
     assert undecided.box is not None
     assert prove_bound(-(x**2) - 1, 0, BOX, strict=True).status == "proved"
@@ -247,8 +257,6 @@ def test_the_bounds_of_the_chain_for_every_order(order: int) -> None:
 @pytest.mark.parametrize("name", ["delta_1", "delta_m", "sharp_1", "sharp_3"])
 @pytest.mark.parametrize("system", ["PerturbedChain", "MagneticLevitation", "TwoMassSpring"])
 def test_a_wrong_bound_is_refuted_with_a_counterexample(system: str, name: str) -> None:
-    if system not in SYSTEMS:
-        pytest.skip(f"{system} is not registered")
     plant = library(system)
     wrong = replace(plant, bounds={**plant.bounds, name: plant.bounds[name] * 0.95})
     with pytest.raises(ValueError, match=rf"`bounds` {name} must bound abs\(.*\): .* exceeds .* at .* = ") as refusal:
@@ -300,10 +308,12 @@ def test_what_delta_3_must_be() -> None:
     plant = springs(1.25, (0.5, 2.0))
     with pytest.raises(ValueError, match=r"`bounds` must have delta_3 < 1 .* got 1"):
         check_bounds(replace(plant, bounds={"delta_3": 1}))
-    with pytest.raises(ValueError, match=r"`theta` of the task must keep abs\(Delta_3\) <= delta_3 = 0\.5.*, got \(2\.0,\)"):
+    with pytest.raises(
+        ValueError, match=r"`theta` of the task must keep abs\(Delta_3\) <= delta_3 = 0\.5.*, got \(2\.0,\)"
+    ):
         check_bounds(replace(plant, bounds={"delta_3": 0.5}, task=Task(theta=(2.0,))))
     with pytest.raises(ValueError, match="must admit some theta"):
-        check_bounds(replace(springs(1.0, (1.5, 1.9)), bounds={"delta_3": 0.25}, task=Task(theta=(1.6,))))
+        check_bounds(replace(springs(1.0, (1.5, 1.9)), bounds={"delta_3": 0.25}))
 
 
 def test_a_gain_error_that_depends_on_the_state() -> None:

@@ -1,0 +1,90 @@
+"""How each algorithm is trained: one table, by name. A new algorithm is one entry.
+
+The values were found on `mfc_gym/PerturbedChain-v0`, random scenario, dt = 0.02 s; see `docs/learning.md`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What an algorithm is built with. Everything is plain data."""
+
+    timesteps: int  # of all environments together
+    segment: int  # timesteps between two evaluations and checkpoints; episodes begin anew there
+    num_envs: int
+    learning_rate: float  # at the start
+    falling: bool  # the learning rate falls linearly to zero
+    activation: str  # of `baselines.policy_network.ACTIVATIONS`
+    hidden: tuple[int, ...]  # widths of the hidden layers, of the actor and of the critic
+    options: Mapping[str, Any]  # of the algorithm's constructor, gamma among them
+    policy: Mapping[str, Any] = field(default_factory=dict)  # further `policy_kwargs`
+    noise: float = 0.0  # standard deviation of the action noise, in actions
+
+
+OFF_POLICY: dict[str, Any] = {
+    "gamma": 0.98,
+    "tau": 0.01,
+    "buffer_size": 300_000,
+    "learning_starts": 8_000,
+    "batch_size": 256,
+    "train_freq": 1,  # steps of the vector environment
+    "gradient_steps": 4,
+}
+
+HYPERPARAMETERS: dict[str, Hyperparameters] = {
+    "ppo": Hyperparameters(
+        timesteps=2_490_368,
+        segment=65_536,
+        num_envs=64,
+        learning_rate=4e-4,
+        falling=True,
+        activation="tanh",
+        hidden=(64, 64),
+        options={"gamma": 0.98, "gae_lambda": 0.95, "n_steps": 128, "batch_size": 1024, "n_epochs": 10},
+        policy={"log_std_init": -1.0},
+    ),
+    "sac": Hyperparameters(
+        timesteps=300_000,
+        segment=8_000,
+        num_envs=16,
+        learning_rate=7e-4,
+        falling=True,
+        activation="relu",
+        hidden=(64, 64),
+        options=OFF_POLICY | {"target_entropy": -3.0},
+    ),
+    "td3": Hyperparameters(
+        timesteps=300_000,
+        segment=8_000,
+        num_envs=16,
+        learning_rate=7e-4,
+        falling=True,
+        activation="relu",
+        hidden=(64, 64),
+        options=OFF_POLICY | {"target_policy_noise": 0.02, "target_noise_clip": 0.05},
+        noise=0.05,
+    ),
+    "tqc": Hyperparameters(
+        timesteps=300_000,
+        segment=8_000,
+        num_envs=16,
+        learning_rate=7e-4,
+        falling=True,
+        activation="relu",
+        hidden=(64, 64),
+        options=OFF_POLICY | {"target_entropy": -3.0},
+    ),
+    "crossq": Hyperparameters(
+        timesteps=200_000,
+        segment=8_000,
+        num_envs=16,
+        learning_rate=1e-3,
+        falling=True,
+        activation="relu",
+        hidden=(64, 64),
+        options={k: v for k, v in OFF_POLICY.items() if k != "tau"} | {"target_entropy": -3.0},
+    ),
+}

@@ -1,0 +1,41 @@
+"""Stable-Baselines3's algorithms by name, built from the table of hyperparameters."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from sb3_contrib import TQC, CrossQ
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.noise import NormalActionNoise
+
+from baselines.agents import make_vec_env
+from baselines.hyperparameters import Hyperparameters
+from baselines.policy_network import Features
+from baselines.training_env import TrainingEnv
+
+ALGORITHMS: dict[str, Any] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC, "crossq": CrossQ}
+ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+TRAINING = 2**31  # first seed of the training's episodes
+
+
+def build(
+    algorithm: str, env: str, options: Mapping[str, Any], given: Hyperparameters, seen: Features, seed: int
+) -> Any:
+    """The untrained model on its environments."""
+    venv = make_vec_env(env, given.num_envs, **options)
+    dt, cost_max = venv.envs.simulation.dt, float(venv.envs.simulation.settings[4])  # type: ignore[attr-defined]
+    scaled = TrainingEnv(venv, seen, given.options["gamma"], dt, cost_max)
+    policy = {"net_arch": list(given.hidden), "activation_fn": ACTIVATIONS[given.activation], **given.policy}
+    noise = {"action_noise": NormalActionNoise(np.zeros(1), np.full(1, given.noise))} if given.noise else {}
+    rate, kind = given.learning_rate, ALGORITHMS[algorithm]
+    return kind("MlpPolicy", scaled, rate, policy_kwargs=policy, seed=seed, device="cpu", **given.options, **noise)
+
+
+def begin_segment(model: Any, given: Hyperparameters, seed: int, timesteps: int) -> None:
+    """New episodes, random numbers and learning rate, which depend on the seed and on the timesteps so far only."""
+    drawn = np.random.SeedSequence((seed, model.num_timesteps)).generate_state(1, np.uint32)[0]
+    model.set_random_seed(TRAINING + int(drawn) % (TRAINING - given.num_envs))
+    model._last_obs = None  # has the environments reset
+    rate = given.learning_rate * (1.0 - given.falling * model.num_timesteps / timesteps)
+    model.lr_schedule = lambda _: rate

@@ -1,0 +1,121 @@
+"""Train an agent and compare it with the reference policy on the way: agents, learning curve, TensorBoard.
+
+python scripts/train_rl.py ppo --out results/ppo
+python scripts/train_rl.py ppo --out results/ppo --resume
+python scripts/evaluate_controller.py mfc ppo:results/ppo/best --scenario random --dt 0.02 --horizon 10
+"""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium as gym
+import tyro
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+import mfc_gym  # noqa: F401 (registers the environments)
+from baselines.evaluation import writable
+from baselines.hyperparameters import HYPERPARAMETERS
+
+try:
+    import torch
+
+    from baselines.training import Plan, train
+except ModuleNotFoundError as error:
+    sys.exit(f'error: {error.name} is not installed, run `pip install "mfc-gym[rl]"`')
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Train an agent."""
+
+    algorithm: Annotated[str, tyro.conf.Positional]
+    """Name of the algorithm: ppo, sac, td3, tqc or crossq"""
+    env: str = "mfc_gym/PerturbedChain-v0"
+    """Environment id"""
+    timesteps: int | None = None
+    """Steps of all environments together; left out: the algorithm's own number"""
+    seed: int = 0
+    """Seed of the networks, the exploration and the training's episodes"""
+    scenario: str = "random"
+    """Theta, initial state and reference drawn at random ("random"), or the plant's own fixed episode ("paper")"""
+    reference: str | None = None
+    """Name of the reference; left out: the plant's own"""
+    dt: float | None = 0.02
+    """Sampling time in s"""
+    horizon: float | None = 10.0
+    """Length of an episode in s"""
+    input_limit: float | None = None
+    """Bound of the input"""
+    order: int | None = None
+    """Order of the plant, where it has this option"""
+    episodes: int = 64
+    """Number of episodes of each evaluation"""
+    patience: int | None = None
+    """Stop after so many evaluations without a better one"""
+    threads: int = 1
+    """Threads of PyTorch; for small networks one is the fastest"""
+    resume: bool = False
+    """Go on with the training in `out`; give the same arguments"""
+    out: Path = Path("results/training")
+    """Folder for the agents `best` and `last`, the checkpoint, and TensorBoard"""
+
+
+def plan(args: Arguments) -> Plan:
+    """The training the arguments describe. Raises ValueError for arguments that cannot work."""
+    if args.algorithm not in HYPERPARAMETERS:
+        raise ValueError(f"`algorithm` must be one of {', '.join(HYPERPARAMETERS)}, got {args.algorithm}.")
+    timesteps = HYPERPARAMETERS[args.algorithm].timesteps if args.timesteps is None else args.timesteps
+    for name, value in (("timesteps", timesteps), ("episodes", args.episodes), ("threads", args.threads)):
+        if value < 1:
+            raise ValueError(f"`{name}` must be at least 1, got {value}.")
+    if args.seed < 0:
+        raise ValueError(f"`seed` must be at least 0, got {args.seed}.")
+    if args.patience is not None and args.patience < 1:
+        raise ValueError(f"`patience` must be at least 1, got {args.patience}.")
+    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order")
+    options = {name: value for name in names if (value := getattr(args, name)) is not None}
+    return Plan(args.algorithm, args.env, options, args.seed, timesteps, args.episodes, args.patience)
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of the curve in words."""
+    tail = "left the region" if row["tail_rms"] is None else f"{row['tail_rms']:.4f}"
+    return f"return {row['return']:9.3f}   median tail RMS {tail}   escaped {row['escaped']}"
+
+
+def main(args: Arguments) -> None:
+    """Run the training."""
+    console = Console()
+    planned, out = plan(args), writable(args.out)
+    torch.set_num_threads(args.threads)
+    with Progress(
+        *Progress.get_default_columns()[:-1],
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(elapsed_when_finished=False),
+        console=console,
+    ) as bar:
+        task = bar.add_task(args.algorithm, total=planned.timesteps)
+
+        def report(row: dict[str, Any], reference: dict[str, Any]) -> None:
+            bar.console.print(f"{row['timesteps']:10d}   {line(row)}   (reference {reference['return']:.3f})")
+
+        done = train(planned, out, args.resume, lambda n: bar.update(task, completed=n), report)
+    console.print(f"reference    {line(done.evaluation.reference)}")
+    console.print(f"Written: {out / 'best'}, {out / 'last'}, {out / 'checkpoint.pt'}, {out / 'tensorboard'}")
+
+
+def run() -> None:
+    """The command line."""
+    try:
+        main(tyro.cli(Arguments, description=__doc__))
+    except (ValueError, gym.error.Error) as error:
+        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    run()
