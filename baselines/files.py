@@ -2,24 +2,21 @@
 
 import json
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 
 def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """`write` fills a temporary file, which reaches the disk and then takes the name."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=path.suffix)
-    os.close(handle)
+    """`write` fills a file beside `path`, which reaches the disk and then takes its name; one writer at a time."""
+    new = path.with_name(f".{path.name}.new")  # always the same, so that killed writers leave no more than one
     try:
-        write(Path(name))
-        with open(name, "rb+") as file:
+        write(new)
+        with new.open("rb+") as file:
             os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+        new.replace(path)
     except BaseException:
-        os.unlink(name)
+        new.unlink(missing_ok=True)
         raise
 
 

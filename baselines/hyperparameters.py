@@ -36,10 +36,10 @@ OFF_POLICY: dict[str, Any] = {
 
 HYPERPARAMETERS: dict[str, Hyperparameters] = {
     "ppo": Hyperparameters(
-        timesteps=2_490_368,
+        timesteps=2_031_616,
         segment=65_536,
         num_envs=64,
-        learning_rate=4e-4,
+        learning_rate=1e-3,
         falling=True,
         activation="tanh",
         hidden=(64, 64),

@@ -47,7 +47,7 @@ def closed_loop(k: Array) -> Array:
     return A - np.outer(B, k)
 
 
-def from_Q(k: Array, Q: Array | None = None) -> Array:  # noqa: N802 (the paper's letter)
+def from_Q(k: Array, Q: Array | None = None) -> Array:
     """P of (A - B k')' P + P (A - B k') = -Q, shape (n, n); the paper's choice is Q = I."""
     Q = np.eye(len(k)) if Q is None else np.asarray(Q, dtype=float)
     return positive_definite(

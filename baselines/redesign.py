@@ -47,6 +47,7 @@ class LyapunovRedesign(Controller):
     margin: float = 1.0  # factor on the gain rule
     width: float = 0.1  # of the boundary layer, unit of w / 2
     rate: float | None = None  # of the disturbance estimate, in (0, 1]; None: `switching.best_rate` of delta_3
+    reach_time: float = 0.0  # s, time constant with which the implicit laws bring w to zero; 0: in one step
     delta_1: float | None = None  # constant bounds in place of the plant's
     delta_3: float | None = None
 
@@ -89,6 +90,7 @@ class LyapunovRedesign(Controller):
                 "delta_3": -1.0 if self.delta_3 is None else self.delta_3,
                 "input_limit": self.nominal.input_limit,
                 "dt": dt,
+                "keep": self.reach_time / (self.reach_time + dt),
                 "rate": -1.0 if self.rate is None else self.rate,
             }
         )
@@ -145,6 +147,7 @@ def redesign(
     margin: float | None = None,
     width: float = 0.1,
     rate: float | None = None,
+    reach_time: float | None = None,
     delta_1: float | None = None,
     delta_3: float | None = None,
 ) -> LyapunovRedesign:
@@ -152,7 +155,8 @@ def redesign(
 
     Gains come as `k`, `k_tilde` or as poles, by default those of the task. `design` is "paper" (P from Q = I; the model loop at
     half the task's pole: -1 and -4 for the example) or "surface" (P with chosen `sliding_poles`, by default next to the process
-    poles); or P itself is given. Raises ValueError for options that cannot work or contradict each other.
+    poles); or P itself is given. `reach_time`: by default 0 for exact derivatives, else what leaves a differentiator time, at least
+    2 dt. Raises ValueError for options that cannot work or contradict each other.
     """
     n = nominal.order
     _one_of("design", design, MODEL_POLE)
@@ -181,9 +185,14 @@ def redesign(
             raise ValueError(f"`{option}` must be positive and finite, got {value}.")
     if rate is not None and not 0 < rate <= 1:
         raise ValueError(f"`rate` must lie in (0, 1], got {rate}.")
+    if reach_time is None:
+        exact = nominal.derivatives == "exact" or feedback == "state"
+        reach_time = 0.0 if exact else max(2.0 * nominal.dt, 0.2 / nominal.process_pole)
+    if not (math.isfinite(reach_time) and reach_time >= 0):
+        raise ValueError(f"`reach_time` must be finite and >= 0, got {reach_time}.")
     return LyapunovRedesign(
         name, nominal, k_gains, k_tilde_gains, P, gain, switching, model, feedback,
-        _start(initial_model_state, n), margin, width, rate, delta_1, delta_3,
+        _start(initial_model_state, n), margin, width, rate, reach_time, delta_1, delta_3,
     )  # fmt: skip
 
 

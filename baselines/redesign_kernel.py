@@ -17,7 +17,7 @@ from mfc_gym.nominal import NominalModel
 
 Array = NDArray[np.float64]
 REFERENCE, PROCESS, GIVEN = 0, 1, 2  # where the model starts
-SCALARS = ("b", "begin", "margin", "width", "delta_1", "delta_3", "input_limit", "dt", "rate")
+SCALARS = ("b", "begin", "margin", "width", "delta_1", "delta_3", "input_limit", "dt", "rate", "keep")
 SUBSTEPS = 4  # of the nonlinear model per sampling interval
 
 
@@ -137,9 +137,9 @@ def control(observation, memory, fresh, law):
     if not np.isnan(memory[PREDICTED]):
         seen = (s - memory[PREDICTED]) / b
         delta_3 = law[{delta_3}] if law[{delta_3}] >= 0.0 else nominal_bounds({x})[1]
-        rate = law[{rate}] if law[{rate}] >= 0.0 else best_rate(delta_3)
+        rate = law[{rate}] if law[{rate}] >= 0.0 else min(best_rate(delta_3), 1.0 - law[{keep}])
         memory[ESTIMATE] = clip(memory[ESTIMATE] + rate * (seen - memory[ESTIMATE]), Gamma)
-    v_L = switching(s, a, b, memory[ESTIMATE], Gamma, law[{width}])
+    v_L = switching(s, a, b, memory[ESTIMATE], Gamma, law[{keep}], law[{width}])
     u = clip((base + v_L - alpha) / beta, law[{input_limit}])
     memory[PREDICTED] = a + b * (alpha + beta * u - base)
     {model_advance}

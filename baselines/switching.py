@@ -1,10 +1,10 @@
 """The discontinuous control v_L = -Gamma sgn(w) in sampled time: laws for the set-valued sign.
 
-All take (s, a, b, d, Gamma, width): s = w / 2 now; a the predicted next s with v_L = 0 and b > 0 its gain to v_L, so that
-s_next = a + b v_L in the nominal model; d the disturbance estimate in units of v_L, abs(d) <= Gamma; `width` of a boundary
-layer, unit of s.
+All take (s, a, b, d, Gamma, keep, width): s = w / 2 now; a the predicted next s with v_L = 0 and b > 0 its gain to v_L, so
+that s_next = a + b v_L in the nominal model; d the disturbance estimate in units of v_L, abs(d) <= Gamma; `keep` the fraction
+of s that one interval leaves (0: the surface is reached in one step); `width` of a boundary layer, unit of s.
 
-With p = 1 + Delta_3, the true input gain over the nominal one, and sigma = s / b, the loop near the surface is
+With p = 1 + Delta_3, the true input gain over the nominal one, sigma = s / b and keep = 0, the loop near the surface is
 
     implicit:           sigma_next = (1 - p) sigma + D                      stable for p in (0, 2), contraction abs(1 - p)
     implicit-observer:  sigma_next = (1 - p) sigma - p d + D,  d_next = d + rate sigma_next
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-Law = Callable[[float, float, float, float, float, float], float]
+Law = Callable[[float, float, float, float, float, float, float], float]
 
 
 @njit
@@ -39,7 +39,7 @@ def best_rate(delta_3: float) -> float:
 
 
 @njit
-def sign(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
+def sign(s: float, a: float, b: float, d: float, Gamma: float, keep: float, width: float) -> float:
     """Explicit sign, eq. (22) of [1] evaluated at the sample; sgn(0) = 0. Chatters with amplitude O(dt)."""
     if s > 0.0:
         return -Gamma
@@ -49,38 +49,38 @@ def sign(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> 
 
 
 @njit
-def saturation(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
+def saturation(s: float, a: float, b: float, d: float, Gamma: float, keep: float, width: float) -> float:
     """Boundary layer: linear within abs(s) <= width. Leaves a steady error set by the width, whatever dt."""
     return -Gamma * clip(s / width, 1.0)
 
 
 @njit
-def average(s: float, a: float, b: float, Gamma: float) -> float:
+def average(s: float, a: float, b: float, Gamma: float, keep: float) -> float:
     """Mean of the continuous-time v_L over the interval, to second order, from the s it starts at and a, its end for v_L = 0.
 
-    v_eq = (s - a) / b would hold s. If abs(v_eq) <= Gamma the surface is kept once reached: v_L in -Gamma Sgn(a + b v_L), whose
-    solution is a projection. Otherwise it may be crossed, after the fraction phi of the interval, and v_L changes sign there.
+    v_eq = (s - a) / b would hold s. If abs(v_eq) <= Gamma the surface is kept once reached: v_L in -Gamma Sgn(a + b v_L - keep s),
+    whose solution is a projection. Otherwise it may be crossed, after the fraction phi of the interval, and v_L changes sign there.
     """
     v_eq = (s - a) / b
     if s * v_eq > 0.0 and abs(v_eq) > Gamma:
         phi = min(abs(s) / (b * (abs(v_eq) + Gamma)), 1.0)
         return math.copysign(1.0, s) * Gamma * (1.0 - 2.0 * phi)
-    return -clip(a / b, Gamma)
+    return -clip((a - keep * s) / b, Gamma)
 
 
 @njit
-def implicit(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
+def implicit(s: float, a: float, b: float, d: float, Gamma: float, keep: float, width: float) -> float:
     """Set-valued sign of the next s: v_L in -Gamma Sgn(a + b v_L), whose solution is a projection.
 
     Stable for p in (0, 2), that is for abs(Delta_3) < 1; the surface is missed by O(dt).
     """
-    return average(s, a, b, Gamma)
+    return average(s, a, b, Gamma, keep)
 
 
 @njit
-def implicit_observer(s: float, a: float, b: float, d: float, Gamma: float, width: float) -> float:
+def implicit_observer(s: float, a: float, b: float, d: float, Gamma: float, keep: float, width: float) -> float:
     """`implicit` with the estimate of the disturbance added. Stable for p in (0, 4 / (2 + rate)); misses by O(dt^2)."""
-    return average(s, a + b * d, b, Gamma)
+    return average(s, a + b * d, b, Gamma, keep)
 
 
 class SwitchingLaw(NamedTuple):

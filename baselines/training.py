@@ -91,6 +91,7 @@ class Training:
     def save(self, out: Path) -> None:
         """The checkpoint first, then the agents `best` and `last`, which `resume` writes again."""
         assert self.best is not None
+        out.mkdir(parents=True, exist_ok=True)
         layers = [[torch.from_numpy(array) for array in layer] for layer in self.best.layers]
         best = {"layers": layers, "training": dict(self.best.training)}
         checkpoint.save(out / CHECKPOINT, self.model, {"plan": asdict(self.plan), "curve": self.curve, "best": best})

@@ -7,6 +7,7 @@ import numpy as np
 import sympy as sp
 
 from mfc_gym.flat_system import lie
+from mfc_gym.interval import FUNCTIONS
 
 NODES = 3000  # of a Lie derivative
 TERMS = 5000  # of a Lie derivative when multiplied out
@@ -41,7 +42,8 @@ def check_derivatives(
 ) -> None:
     """The relative degree conditions of `FlatSystem`, each step of bounded cost: eq. (2) and (3) of its reference.
 
-    Raises ValueError, naming the entry, for an expression that grows too large or a condition that does not hold.
+    Raises ValueError, naming the entry, for a condition that does not hold, and for an expression that grows too large or
+    has no derivative (abs, min, max and sign in the places that are differentiated more than once).
     """
     n = len(x)
     drift = [a + b for a, b in zip(f, Delta, strict=True)]
@@ -66,6 +68,8 @@ def check_derivatives(
 
 
 def _require_moderate(expressions: Sequence[sp.Expr], name: str) -> None:
+    if any(function.func not in FUNCTIONS for e in expressions for function in e.atoms(sp.Function)):
+        raise ValueError(f"`{name}` must be smoother: the Lie derivatives of h do not exist everywhere.")
     if any(node_count(e) > NODES or expanded_terms(e) > TERMS for e in expressions):
         raise ValueError(f"`{name}` must be simpler: the Lie derivatives of h grow too large.")
 

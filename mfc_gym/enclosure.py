@@ -8,6 +8,8 @@ theta of the declared box with abs(Delta_3) <= delta_3; Theorem 2 of [1] needs d
 """
 
 from collections.abc import Mapping
+from itertools import islice, product
+from math import inf
 
 import numpy as np
 import sympy as sp
@@ -16,6 +18,7 @@ from mfc_gym.branch_and_bound import BUDGET, Box, Point, Verdict, enclose, prove
 from mfc_gym.domain import undefined_at, zero_at
 from mfc_gym.falsification import Counterexample, falsify
 from mfc_gym.flat_system import BOUNDS, FlatSystem
+from mfc_gym.interval_function import IntervalFunction
 from mfc_gym.termwise import proves
 from mfc_gym.triangle import round_up, triangle_bound
 from mfc_gym.uncertainty import Uncertainty, region_box
@@ -79,7 +82,7 @@ def _derived(u: Uncertainty, name: str, known: Mapping[str, sp.Expr]) -> sp.Expr
     low, high = (
         u.range_3 if name == "delta_3" else enclose(numerator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
     )
-    if not max(-low, high) < float("inf"):
+    if not max(-low, high) < inf:
         raise ValueError(f"`bounds` must give {name}: what it bounds could not be enclosed over region and theta.")
     return round_up(max(-low, high))
 
@@ -116,7 +119,7 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
     if name == "delta_3" and u.uniform:
         return Verdict("proved", 0.0)  # it is what makes a theta admissible
     numerator, denominator = u.quotient(name)
-    tolerance = TOLERANCE * max(1.0, min(1e9, enclose(bound, u.region, budget=4000)[1]))
+    tolerance = TOLERANCE * max(1.0, _attained(bound, u.region))
     verdict = _separate_verdict(u, name, bound, budget, tolerance)
     if verdict is not None:
         return verdict
@@ -127,6 +130,15 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
     if verdict.status == "refuted" and verdict.point is not None:
         raise ValueError(_refusal(name, numerator / denominator, bound, verdict.point))
     return verdict
+
+
+def _attained(bound: sp.Expr, region: Box) -> float:
+    """A value that the bound is known to take: the largest at the corners of the region (up to 64) and its centre."""
+    function = IntervalFunction([bound], list(region))
+    corners = islice(product(*region.values()), 64)
+    points = [*corners, [(low + high) / 2 for low, high in region.values()]]
+    values = (function([(p, p) for p in point])[0] for point in points)
+    return max((low for low, high in values if high < inf), default=1.0)
 
 
 def _separate_verdict(u: Uncertainty, name: str, bound: sp.Expr, budget: int, tolerance: float) -> Verdict | None:

@@ -26,6 +26,7 @@ class NominalModel:
     input_limit: float
     model_pole: float = 2.0  # 1/s, see `mfc_gym.task`
     process_pole: float = 4.0  # 1/s
+    derivatives: str = "exact"  # how xi_n is obtained, see `mfc_gym.simulation.Settings`
 
     @property
     def name(self) -> str:

@@ -5,7 +5,7 @@ import importlib.util
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -77,11 +77,11 @@ def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
     Raises ValueError for an unknown name or options the plant does not take.
     """
     if name.endswith(".toml"):
-        from mfc_gym.plant_file import load_plant_file
+        from mfc_gym.plant_file import load_plant
 
         if options:
             raise ValueError(f"a plant file takes no options, got {sorted(options)}.")
-        return load_plant_file(name)
+        return load_plant(name)
     module, _, attribute = _location(name).partition(":")
     make = getattr(importlib.import_module(module), attribute, None)
     if not callable(make):
@@ -103,9 +103,8 @@ def load(name: str, **options: Any) -> Plant:
         path = Path(name)
         if not path.is_file():
             raise ValueError(f"`system` must be a plant file or a registered name, there is no file {name!r}.")
-        text = path.read_text(
-            "utf-8", errors="backslashreplace"
-        )  # a module is imported once, a file may change while the process runs
+        with path.open("rb") as file:  # a module is imported once, a file may change while the process runs
+            text = file.read(1 << 17).hex()  # longer ones are refused
     else:
         sources.append(_module_file(name))
     try:
@@ -114,11 +113,14 @@ def load(name: str, **options: Any) -> Plant:
         raise ValueError(f"options of the system must be numbers, strings, lists or dicts, got {options}.") from error
     hashed = kernels.key(kernels.fingerprint(*sources), name, given, text)
 
+    @cache
+    def system() -> "FlatSystem":
+        return build_system(name, options)
+
     def source(kind: str) -> str:
         from mfc_gym import code_generation
 
-        system = build_system(name, options)
-        return code_generation.plant_source(system) if kind == "plant" else code_generation.nominal_source(system)
+        return getattr(code_generation, f"{kind}_source")(system())
 
     modules = [kernels.load(f"mfc_{kind}_{hashed}", partial(source, kind)) for kind in ("plant", "nominal")]
     return Plant(name, options, *modules)

@@ -94,7 +94,8 @@ def expression(value: Any, path: Key, names: Collection[str], values: Mapping[st
     except ValueError as error:
         raise EntryError(path, f"{_label(path)}: {error}") from None
     known = parsed.subs({sp.Symbol(name, real=True): sp.Rational(str(v)) for name, v in values.items()})
-    if reason := reason_against(known):
+    reasons = map(reason_against, sp.preorder_traversal(known)) if values else ()
+    if reason := next(filter(None, reasons), None):
         raise EntryError(path, f"{_label(path)} with the values of its parameters: {reason}.")
     return known
 

@@ -88,7 +88,7 @@ def line(row: dict[str, Any]) -> str:
 
 def main(args: Arguments) -> None:
     """Run the training."""
-    console = Console()
+    console = Console(soft_wrap=True)
     planned, out = plan(args), writable(args.out)
     torch.set_num_threads(args.threads)
     with Progress(
@@ -101,7 +101,7 @@ def main(args: Arguments) -> None:
         task = bar.add_task(args.algorithm, total=planned.timesteps)
 
         def report(row: dict[str, Any], reference: dict[str, Any]) -> None:
-            bar.console.print(f"{row['timesteps']:10d}   {line(row)}   (reference {reference['return']:.3f})")
+            console.print(f"{row['timesteps']:10d}   {line(row)}   (reference {reference['return']:.3f})")
 
         done = train(planned, out, args.resume, lambda n: bar.update(task, completed=n), report)
     console.print(f"reference    {line(done.evaluation.reference)}")

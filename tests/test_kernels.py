@@ -101,11 +101,10 @@ def test_threads_on_a_cold_cache(folder: Path) -> None:
     assert len({id(module) for module, _ in got}) == 1
 
 
-@pytest.mark.parametrize("place", ["below a file", "/proc/mfc_gym"])
-def test_nowhere_to_write(tmp_path: Path, place: str) -> None:
+def test_nowhere_to_write(tmp_path: Path) -> None:
     """Everything works, with one warning that says what to do."""
     (tmp_path / "file").touch()
-    out = run(SCRIPT, Path(place) if place.startswith("/") else tmp_path / "file" / "cache")
+    out = run(SCRIPT, tmp_path / "file" / "cache")
     text = "Kernels are compiled in every process, there is no writable cache: "
     assert out.startswith(f"generated\ngenerated\n4.0 4.0 4.0 1 {text}")
     assert out.endswith("Set MFC_GYM_CACHE to a writable folder.\nhits 0\n")
@@ -120,7 +119,7 @@ with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     import gymnasium as gym, mfc_gym
     for _ in range(2):
-        env = gym.make("mfc_gym/PerturbedChain-v0", order=2)
+        env = gym.make("mfc_gym/PerturbedChain-v0", order=2, substeps=1)
         env.reset(seed=0)
         reward = env.step(env.action_space.sample())[1]
 print(len(caught), reward < 0)

@@ -21,19 +21,19 @@ def radius(p: float, rate: float) -> float:
 
 
 def test_sign_is_zero_at_zero() -> None:
-    assert [sign(s, 0.0, 1.0, 0.0, 2.0, 0.1) for s in (-1.0, 0.0, 1.0)] == [2.0, 0.0, -2.0]
+    assert [sign(s, 0.0, 1.0, 0.0, 2.0, 0.0, 0.1) for s in (-1.0, 0.0, 1.0)] == [2.0, 0.0, -2.0]
 
 
 def test_saturation_is_linear_inside_the_layer() -> None:
-    assert saturation(0.05, 0.0, 1.0, 0.0, 2.0, 0.1) == -1.0
-    assert saturation(0.5, 0.0, 1.0, 0.0, 2.0, 0.1) == -2.0
+    assert saturation(0.05, 0.0, 1.0, 0.0, 2.0, 0.0, 0.1) == -1.0
+    assert saturation(0.5, 0.0, 1.0, 0.0, 2.0, 0.0, 0.1) == -2.0
 
 
 def test_implicit_solves_the_set_valued_equation() -> None:
     """v in -Gamma Sgn(s_next) with s_next = a + b v: zero next s with abs(v) <= Gamma, or full gain against its sign."""
     rng = np.random.default_rng(0)
     for s, a, b, Gamma in np.abs(rng.normal(size=(1000, 4))) * [1, 3, 1, 1] * rng.choice([-1, 1], (1000, 4)) ** [0, 1, 0, 0]:
-        v = implicit(s, a, b, 0.0, Gamma, 0.1)
+        v = implicit(s, a, b, 0.0, Gamma, 0.0, 0.1)
         after = a + b * v
         if abs((s - a) / b) <= Gamma:  # the surface can be kept
             assert abs(v) <= Gamma
@@ -51,7 +51,7 @@ def test_average_is_the_mean_of_the_continuous_time_law(s: float, drift: float) 
         v = -np.clip(predicted * steps, -Gamma, Gamma)  # backward Euler: exact up to the step in which s reaches zero
         value = predicted + v / steps
         total += v / steps
-    assert average(s, s + drift, 1.0, Gamma) == pytest.approx(total, abs=4 * Gamma / steps)
+    assert average(s, s + drift, 1.0, Gamma, 0.0) == pytest.approx(total, abs=4 * Gamma / steps)
 
 
 @pytest.mark.parametrize("delta_3", [0.0, 0.1, 0.25, 0.5, 0.9, 0.99])

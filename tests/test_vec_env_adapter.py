@@ -25,6 +25,11 @@ CASES = {
     "paper": {},
     "random": {"scenario": "random"},
     "order 2": {"scenario": "random", "order": 2, "reference": "chirp", "cost": "quadratic"},
+    "sensors": {
+        "scenario": "random",
+        "derivatives": "ired",
+        "sensors": {"noise": 0.01, "state_noise": 0.01, "distribution": "gaussian", "dropout": 0.1, "delay": 2},
+    },
 }
 
 

@@ -31,6 +31,11 @@ CASES = {
         "reference_parameters": {"phase2": 0.5},
     },
     "order 2": {"scenario": "random", "order": 2, "reference": "chirp", "cost": "quadratic", "effort": 1e-3},
+    "sensors": {
+        "scenario": "random",
+        "derivatives": "ired",
+        "sensors": {"noise": 0.01, "state_noise": 0.01, "distribution": "gaussian", "dropout": 0.1, "delay": 2},
+    },
 }
 MODES = list(AutoresetMode)
 
