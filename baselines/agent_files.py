@@ -57,13 +57,18 @@ def save_agent(agent: Agent, folder: Path) -> None:
     write_json(folder / DESCRIPTION, description)
 
 
-def load_agent(folder: Path | str) -> Agent:
-    """The agent in a folder that `save_agent` wrote. Raises ValueError for anything else, before anything is built."""
+def load_agent(folder: Path | str, algorithm: str | None = None) -> Agent:
+    """The agent in a folder that `save_agent` wrote. Raises ValueError for anything else, before anything is built.
+
+    `algorithm`: the one that the agent must have been trained by, in any case of letters; None: any.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise ValueError(f"`folder` must be a folder with {DESCRIPTION} and {WEIGHTS}, got {folder}.")
     description = parse(DESCRIPTION, _read(folder / DESCRIPTION, MAX_DESCRIPTION))
     check("agent", description, SCHEMA)
+    if algorithm is not None and algorithm.lower() != description["algorithm"].lower():
+        raise ValueError(f"`algorithm` must be {description['algorithm']} for the agent in {folder}, got {algorithm}.")
     features = _features(description["features"])
     data = _read(folder / WEIGHTS, MAX_WEIGHTS)
     if hashlib.sha256(data).hexdigest() != description["weights"]["sha256"]:

@@ -22,6 +22,7 @@ class Hyperparameters:
     options: Mapping[str, Any]  # of the algorithm's constructor, gamma among them
     policy: Mapping[str, Any] = field(default_factory=dict)  # further `policy_kwargs`
     noise: float = 0.0  # standard deviation of the action noise, in actions
+    log_std: tuple[float, float] | None = None  # of a Gaussian policy, at the start and at the end; None: it is learnt
 
 
 OFF_POLICY: dict[str, Any] = {
@@ -44,7 +45,7 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
         activation="tanh",
         hidden=(64, 64),
         options={"gamma": 0.98, "gae_lambda": 0.95, "n_steps": 128, "batch_size": 1024, "n_epochs": 10},
-        policy={"log_std_init": -1.0},
+        log_std=(-1.0, -3.0),  # left to itself it ends at -1.6, and the tail error is what this noise does
     ),
     "sac": Hyperparameters(
         timesteps=300_000,

@@ -33,9 +33,13 @@ def build(
 
 
 def begin_segment(model: Any, given: Hyperparameters, seed: int, timesteps: int) -> None:
-    """New episodes, random numbers and learning rate, which depend on the seed and on the timesteps so far only."""
+    """New episodes and random numbers, learning rate and exploration: all from the seed and the timesteps so far only."""
     drawn = np.random.SeedSequence((seed, model.num_timesteps)).generate_state(1, np.uint32)[0]
     model.set_random_seed(TRAINING + int(drawn) % (TRAINING - given.num_envs))
     model._last_obs = None  # has the environments reset
-    rate = given.learning_rate * (1.0 - given.falling * model.num_timesteps / timesteps)
+    done = min(1.0, model.num_timesteps / timesteps)
+    rate = given.learning_rate * (1.0 - given.falling * done)
     model.lr_schedule = lambda _: rate
+    if given.log_std is not None:
+        start, end = given.log_std
+        model.policy.log_std.requires_grad_(False).fill_(start + (end - start) * done)

@@ -36,7 +36,7 @@ class Layout:
         return self.vectors.index(name) * self.n
 
     @property
-    def E(self) -> int:  # noqa: N802 (the paper's letter)
+    def E(self) -> int:
         """Transition matrix of the model loop's error over dt, row by row."""
         return len(self.vectors) * self.n
 
@@ -79,7 +79,8 @@ def terms({x}, {z}, {yd}, {e_star}, law):
     if law[{delta_1}] >= 0.0 or law[{delta_3}] >= 0.0:
         delta_1 = law[{delta_1}] if law[{delta_1}] >= 0.0 else bounds[0]
         delta_3 = law[{delta_3}] if law[{delta_3}] >= 0.0 else bounds[1]
-        bounds = (delta_1, delta_3, delta_1, delta_1 / (1.0 - delta_3), delta_3 / (1.0 - delta_3))
+        delta_m = law[{delta_1}] if law[{delta_1}] >= 0.0 else bounds[2]
+        bounds = (delta_1, delta_3, delta_m, delta_1 / (1.0 - delta_3), delta_3 / (1.0 - delta_3))
     {e} = {error}
     omega_star = {yd_n} - ({k_e_star})
     v_tilde = -({k_tilde_e})

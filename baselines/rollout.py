@@ -96,7 +96,12 @@ def _stepwise(env: Any, policy: Any, observation: Array, batch: bool) -> Batch:
     terminated_at_all = np.zeros_like(running)
     limit = env.unwrapped.nominal.input_limit
     same_step = env.metadata.get("autoreset_mode") == AutoresetMode.SAME_STEP
-    observations, outputs, controls, rewards = [np.atleast_2d(observation)], [np.atleast_1d(env.unwrapped.output)], [], []
+    observations, outputs, controls, rewards = (
+        [np.atleast_2d(observation)],
+        [np.atleast_1d(env.unwrapped.output)],
+        [],
+        [],
+    )
     while running.any():
         action, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
         observation, reward, terminated, truncated, info = env.step(action)

@@ -25,20 +25,20 @@ INLINED = (
 class KernelPrinter(PythonCodePrinter):
     """Small integer powers as products, numbers as floats: the same arithmetic everywhere, and fast."""
 
-    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:  # noqa: N802 (SymPy's naming)
+    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
         base, exponent = expr.args
         if exponent.is_Integer and 2 <= abs(exponent) <= 8:
             product = "*".join([f"({self._print(base)})"] * abs(int(exponent)))
             return f"({product})" if exponent > 0 else f"(1.0/({product}))"
         return str(super()._print_Pow(expr, rational))
 
-    def _print_Integer(self, expr: sp.Integer) -> str:  # noqa: N802
+    def _print_Integer(self, expr: sp.Integer) -> str:
         return f"{int(expr)}.0" if expr >= 0 else f"({int(expr)}.0)"
 
-    def _print_Rational(self, expr: sp.Rational) -> str:  # noqa: N802
+    def _print_Rational(self, expr: sp.Rational) -> str:
         return f"({float(expr)!r})"
 
-    def _print_Float(self, expr: sp.Float) -> str:  # noqa: N802
+    def _print_Float(self, expr: sp.Float) -> str:
         return f"({float(expr)!r})"
 
 

@@ -72,7 +72,8 @@ class _Reader:
 
     def refusal(self, reason: str, column: int) -> ValueError:
         text = self.text if len(self.text) <= 60 else self.text[max(0, column - 30) : column + 30]
-        known = ", ".join(sorted(self.names)) or "none"
+        names = sorted(self.names)
+        known = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
         return ValueError(
             f"{reason}, in column {column + 1} of {text!a}; allowed are decimal numbers, pi, the names {known}, "
             f"the operators + - * / ** ^, and the functions {' '.join(FUNCTIONS)}."

@@ -155,4 +155,5 @@ FUNCTIONS: dict[type[sp.Expr], Callable[..., Interval]] = {
     sp.cosh: partial(hyperbolic, False),
     sp.sign: partial(step, libmp.fnone),
     Sign: partial(step, libmp.fnone),
+    sp.Heaviside: lambda x, *_: step(libmp.fzero, x),
 }

@@ -10,7 +10,7 @@ import sympy as sp
 from mpmath import libmp
 from mpmath.libmp import libmpi
 
-from mfc_gym.interval import BITS, FUNCTIONS, Interval, Undefined, general_power, power, rational, root_power, step
+from mfc_gym.interval import BITS, FUNCTIONS, Interval, Undefined, general_power, power, rational, root_power
 
 Ends = tuple[float, float]
 REALS: Ends = (float("-inf"), float("inf"))
@@ -71,8 +71,6 @@ def _operation(e: sp.Expr) -> tuple[Callable[..., Interval], tuple[sp.Expr, ...]
         if e.exp.is_Rational:
             return partial(root_power, e.exp), (e.base,)
         return general_power, (e.base, e.exp)
-    if isinstance(e, sp.Heaviside):
-        return partial(step, libmp.fzero), e.args[:1]
     return FUNCTIONS.get(e.func, _unsupported), e.args if e.func in FUNCTIONS else ()
 
 

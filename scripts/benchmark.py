@@ -19,7 +19,7 @@ import mfc_gym  # noqa: F401 (registers the environments)
 from baselines.exact_metrics import total_variation
 
 ID = "mfc_gym/PerturbedChain-v0"
-PAPER = {"initial_model_state": (0.5, 0.0, 0.0), "model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3, "gain": "paper"}
+PAPER: dict[str, Any] = {"initial_model_state": (0.5, 0.0, 0.0), "model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3, "gain": "paper"}
 DTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 LAWS: dict[str, dict[str, Any]] = {
     "reference policy": {},

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,12 @@ def test_what_is_saved_is_loaded(folder: Path, rng: np.random.Generator) -> None
     assert np.array_equal(saved.predict(observations)[0], loaded.predict(observations)[0])
     assert (loaded.environment, loaded.training) == (saved.environment, saved.training)
     assert sorted(path.name for path in folder.iterdir()) == [DESCRIPTION, WEIGHTS]
+
+
+def test_the_algorithm_can_be_asked_for(folder: Path) -> None:
+    assert load_agent(folder, "ppo").algorithm == "PPO"
+    with pytest.raises(ValueError, match="`algorithm` must be PPO"):
+        load_agent(folder, "sac")
 
 
 def test_the_agent_checks_its_observation(folder: Path) -> None:
@@ -279,13 +286,15 @@ def torch_bytes(value: Any) -> bytes:
     return stream.getvalue()
 
 
+NAN_ACTOR = {"action_net.weight": torch.full((1, 2), torch.nan), "action_net.bias": torch.ones(1)}
+
 ZIPS: dict[str, tuple[Callable[[], dict[str, bytes]], str]] = {
     "pickle as weights": (lambda: {"policy.pth": pickle.dumps(Bomb())}, "must hold tensors only"),
     "pickle in the weights": (lambda: {"policy.pth": torch_bytes({"actor.mu.weight": Bomb()})}, "must hold tensors only"),
     "no tensors": (lambda: {"policy.pth": torch_bytes({"actor.mu.weight": 1})}, "a dictionary of tensors"),
     "no actor": (lambda: {"policy.pth": torch_bytes({"critic.weight": torch.ones(1, 1)})}, "1 to 9 finite layers"),
     "no weights": (lambda: {"../policy.pth": b"", "data": pickle.dumps(Bomb())}, "must be an SB3 .zip"),
-    "NaN": (lambda: {"policy.pth": torch_bytes({"action_net.weight": torch.full((1, 2), torch.nan), "action_net.bias": torch.ones(1)})}, "finite"),
+    "NaN": (lambda: {"policy.pth": torch_bytes(NAN_ACTOR)}, "finite"),
     "a bomb of zeros": (lambda: {"policy.pth": bytes(2**28 + 1)}, "must have at most"),
 }  # fmt: skip
 

@@ -163,6 +163,22 @@ def test_a_bad_file_is_refused_with_its_line(
     assert "PLANT_FILE_RAN_CODE" not in os.environ
 
 
+def test_a_kink_that_is_differentiated_twice_is_refused(tmp_path: Path) -> None:
+    """abs(x1) in the first of two rows has the derivative sign(x1); in the first of three rows that is differentiated."""
+    path = tmp_path / "plant.toml"
+    two = 'name = "a"\nstate = ["x1", "x2"]\nf = ["x2 + abs(x1)", 0]\ng = [0, 1]\nDelta = [0, 0]\nh = "x1"\n'
+    path.write_text(two)
+    assert load_plant(path).bounds["delta_1"] == 0
+    path.write_text(
+        two.replace('"x2"]', '"x2", "x3"]')
+        .replace("0]", "0, 0]")
+        .replace("[0, 1]", "[0, 0, 1]")
+        .replace(", 0, 0]", ', "x3", 0]', 1)
+    )
+    with pytest.raises(ValueError, match="line 3: `f` must be smoother"):
+        load_plant(path)
+
+
 def test_what_a_good_file_gives(tmp_path: Path) -> None:
     path = tmp_path / "plant.toml"
     path.write_text(GOOD)

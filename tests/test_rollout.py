@@ -17,7 +17,7 @@ PAPER: dict[str, Any] = {
     "gain": "paper", "switching": "sign", "margin": 1.0, "model_poles": (-1,) * 3, "poles": (-4,) * 3,
     "initial_model_state": (0.5, 0.0, 0.0),
 }  # fmt: skip
-SIGNALS = ("time", "state", "output_derivatives", "reference", "control", "reward", "terminated")
+SIGNALS = ("time", "state", "output_derivatives", "reference", "control", "reward", "terminated", "output")
 
 
 def assert_equal(one: Trajectory, other: Trajectory) -> None:
