@@ -16,18 +16,14 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
 def zeros(exact: ExactSolution, signal: str, begin: float, end: float) -> list[float]:
     """Times in (begin, end) at which the signal changes sign continuously, s."""
     times = cells(exact, begin, end)
-    values = exact.signals(times)[signal]
+    ends = np.nextafter(times[1:], times[:-1])  # a sign change across a jump, at a switching time, is no zero
+    left, right = exact.signals(times[:-1])[signal], exact.signals(ends)[signal]
 
     def at(t: float) -> float:
         return float(exact.signals(t)[signal])
 
-    # a sign change across a jump (at a switching time) is no zero: look from just before the cell's end
-    found = []
-    for a, b, left in zip(times[:-1], times[1:], values[:-1], strict=True):
-        before = np.nextafter(b, a)
-        if left * at(before) < 0:
-            found.append(float(brentq(at, a, before, xtol=1e-14)))
-    return found
+    changes = np.flatnonzero(left * right < 0)
+    return [float(brentq(at, times[i], ends[i], xtol=1e-14)) for i in changes]
 
 
 def cells(exact: ExactSolution, begin: float, end: float) -> Array:

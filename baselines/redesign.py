@@ -155,8 +155,8 @@ def redesign(
 
     Gains come as `k`, `k_tilde` or as poles, by default those of the task. `design` is "paper" (P from Q = I; the model loop at
     half the task's pole: -1 and -4 for the example) or "surface" (P with chosen `sliding_poles`, by default next to the process
-    poles); or P itself is given. `reach_time`: by default 0 for exact derivatives, else what leaves a differentiator time, at least
-    2 dt. Raises ValueError for options that cannot work or contradict each other.
+    poles); or P itself is given. `reach_time`: by default 0 for exact derivatives, else what leaves a differentiator
+    time, at least 2 dt. Raises ValueError for options that cannot work or contradict each other.
     """
     n = nominal.order
     _one_of("design", design, MODEL_POLE)

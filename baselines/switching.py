@@ -58,8 +58,9 @@ def saturation(s: float, a: float, b: float, d: float, Gamma: float, keep: float
 def average(s: float, a: float, b: float, Gamma: float, keep: float) -> float:
     """Mean of the continuous-time v_L over the interval, to second order, from the s it starts at and a, its end for v_L = 0.
 
-    v_eq = (s - a) / b would hold s. If abs(v_eq) <= Gamma the surface is kept once reached: v_L in -Gamma Sgn(a + b v_L - keep s),
-    whose solution is a projection. Otherwise it may be crossed, after the fraction phi of the interval, and v_L changes sign there.
+    v_eq = (s - a) / b would hold s. If abs(v_eq) <= Gamma the surface is kept once reached: v_L in
+    -Gamma Sgn(a + b v_L - keep s), whose solution is a projection. Otherwise it may be crossed, after the fraction phi of the
+    interval, and v_L changes sign there.
     """
     v_eq = (s - a) / b
     if s * v_eq > 0.0 and abs(v_eq) > Gamma:

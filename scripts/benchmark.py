@@ -1,6 +1,6 @@
 """Benchmarks, each one run, side by side.
 
-    python scripts/benchmark.py sampled    # the reference policy in sampled time against the exact solution
+python scripts/benchmark.py sampled    # the reference policy in sampled time against the exact solution
 """
 
 import sys
@@ -19,14 +19,18 @@ import mfc_gym  # noqa: F401 (registers the environments)
 from baselines.exact_metrics import total_variation
 
 ID = "mfc_gym/PerturbedChain-v0"
-PAPER: dict[str, Any] = {"initial_model_state": (0.5, 0.0, 0.0), "model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3, "gain": "paper"}
+POLES = {"model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3}
+PAPER: dict[str, Any] = {"initial_model_state": (0.5, 0.0, 0.0), "gain": "paper", **POLES}
 DTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 LAWS: dict[str, dict[str, Any]] = {
     "reference policy": {},
     "rate = 1": {"rate": 1.0},
     "implicit": {"switching": "implicit"},
     "sign": {"switching": "sign"},
-    **{f"saturation, width {width:g}": {"switching": "saturation", "width": width} for width in (0.01, 0.03, 0.1, 0.3, 1.0)},
+    **{
+        f"saturation, width {width:g}": {"switching": "saturation", "width": width}
+        for width in (0.01, 0.03, 0.1, 0.3, 1.0)
+    },
 }
 
 
@@ -40,7 +44,9 @@ class Sampled:
     """Seed of these"""
 
 
-def deviation(env: gym.Env[Any, Any], options: dict[str, Any] | None = None, **law: Any) -> tuple[float, float, float, float]:
+def deviation(
+    env: gym.Env[Any, Any], options: dict[str, Any] | None = None, **law: Any
+) -> tuple[float, float, float, float]:
     """(max abs(y - y_exact), tail RMS of y - y_d, variation of u per second in the tail, and the same of the exact u)."""
     controller = baselines.make("mfc", env, **law)
     exact = baselines.filippov(env, controller, options=options)
@@ -101,7 +107,9 @@ def admissible_set(args: Sampled, console: Console) -> None:
 
 def laws(args: Sampled, console: Console) -> None:
     """Every switching law on the reference policy's design, over dt x random episodes."""
-    table = Table(title=f"Random scenario, {args.cases} episodes: median tail RMS | median variation of u per second (escapes)")
+    table = Table(
+        title=f"Random scenario, {args.cases} episodes: median tail RMS | median variation of u per second (escapes)"
+    )
     table.add_column("law")
     dts = (0.001, 0.01, 0.05)
     for dt in dts:

@@ -21,7 +21,7 @@ from baselines.exact_metrics import exact_metrics, total_variation
 from baselines.filippov import ExactSolution
 
 START = (0.5, 0.0, 0.0)  # xi*(0)
-POLES = {"model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3}
+POLES: dict[str, Any] = {"model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3}
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "A  MFC, the paper's gain, Q = I": ("mfc", {"gain": "paper", "design": "paper"}),
     "B  MFC, the theorem's gain, Q = I": ("mfc", {"gain": "theorem", "design": "paper"}),
@@ -30,7 +30,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 QUANTITIES = ("first switching time", "e(5)", "e(10)", "e(20)", "IAE", "ISE", "int u^2", "max |u|", "variation of u")
 # another implementation's event-driven solution of the same equations, docs/reference_values.md
-EXPECTED: dict[str, tuple[float, ...]] = {  # fmt: skip
+EXPECTED: dict[str, tuple[float, ...]] = {
     "A": (
         0.0024776786,
         -0.1553075186,

@@ -44,10 +44,7 @@ def marker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def an_agent(algorithm: str = "PPO", output: str = "clip") -> Agent:
     rng = np.random.default_rng(0)
     widths = (13, 16, 8, 1)
-    layers = tuple(
-        (rng.normal(size=(b, a)).astype(np.float32).astype(float), np.zeros(b))
-        for a, b in zip(widths, widths[1:], strict=False)
-    )
+    layers = tuple((rng.normal(size=(b, a)).astype(np.float32).astype(float), np.zeros(b)) for a, b in pairwise(widths))
     features = Features(rng.normal(size=(13, 10)), rng.normal(size=13))
     environment = {
         "id": "mfc_gym/PerturbedChain-v0",
