@@ -24,8 +24,8 @@ def build(
 ) -> Any:
     """The untrained model on its environments."""
     venv = make_vec_env(env, given.num_envs, **options)
-    dt, cost_max = venv.envs.simulation.dt, float(venv.envs.simulation.settings[4])  # type: ignore[attr-defined]
-    scaled = TrainingEnv(venv, seen, given.options["gamma"], dt, cost_max)
+    (simulation,) = venv.get_attr("simulation", 0)
+    scaled = TrainingEnv(venv, seen, given.options["gamma"], simulation)
     policy = {"net_arch": list(given.hidden), "activation_fn": ACTIVATIONS[given.activation], **given.policy}
     noise = {"action_noise": NormalActionNoise(np.zeros(1), np.full(1, given.noise))} if given.noise else {}
     rate, kind = given.learning_rate, ALGORITHMS[algorithm]

@@ -15,6 +15,7 @@ from baselines import registry
 from baselines.policy_network import Array, Features
 from baselines.rollout import rollout
 from mfc_gym import observation as layout
+from mfc_gym.simulation import Simulation
 
 VALUES = 10.0  # the value function lies between -VALUES and 0
 EPISODES = 64  # of the reference policy, which set the scale
@@ -36,15 +37,18 @@ def features(id: str, options: Mapping[str, Any], seed: int) -> Features:
 
 
 class TrainingEnv(VecEnvWrapper):
-    """Observations as features; rewards such that the discounted sum lies between -10 (the largest cost for ever) and 0.
+    """Observations as features; rewards -VALUES (1 - gamma) log(1 + cost / precision) / log(1 + cost_max / precision).
 
-    The reward pays cost_max for the rest of the horizon at once, far more than the discounted sum of a learner that looks
-    1 / (1 - gamma) steps ahead: it is limited to what that learner would see.
+    The logarithm makes what is left of an error count as much as the error that was there: with the cost itself the transients
+    of the first second outweigh the tail. The discounted sum lies between -VALUES (cost_max for ever) and 0: what the
+    environment charges at once for leaving the region, cost_max for the rest of the horizon, is limited to that.
     """
 
-    def __init__(self, venv: VecEnv, features: Features, gamma: float, dt: float, cost_max: float) -> None:
+    def __init__(self, venv: VecEnv, features: Features, gamma: float, task: Simulation) -> None:
         self.features = features
-        self.scale = VALUES * (1.0 - gamma) / (dt * cost_max)
+        self.gamma, self.dt = gamma, task.dt
+        self.cost_max = float(task.settings[4])
+        self.precision = task.plant.task.success_error
         size = len(features.offset)
         super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, (size,), np.float32))
 
@@ -55,8 +59,17 @@ class TrainingEnv(VecEnvWrapper):
         observations, rewards, dones, infos = self.venv.step_wait()
         for i in np.flatnonzero(dones):
             infos[i]["terminal_observation"] = self._seen(infos[i]["terminal_observation"])
-        scaled = np.maximum(self.scale * rewards, -VALUES).astype(np.float32)
-        return self._seen(observations), scaled, dones, infos  # type: ignore[arg-type]
+        return self._seen(observations), self._paid(rewards), dones, infos  # type: ignore[arg-type]
 
     def _seen(self, observations: Array) -> NDArray[np.float32]:
         return self.features(observations).astype(np.float32)
+
+    def _paid(self, rewards: NDArray[np.float32]) -> NDArray[np.float32]:
+        cost = np.maximum(-rewards.astype(float) / self.dt, 0.0)
+        relative = self._shape(cost / self.precision) / self._shape(self.cost_max / self.precision)
+        ended = cost > 1.001 * self.cost_max
+        return np.where(ended, -VALUES, -VALUES * (1.0 - self.gamma) * relative).astype(np.float32)
+
+    @staticmethod
+    def _shape(z: Any) -> Any:
+        return np.log1p(z) + z / 20.0

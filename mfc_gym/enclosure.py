@@ -1,7 +1,7 @@
 """What a plant declares about its uncertainty, proved or refuted over the operating region and the admissible theta.
 
 `derive_bounds` finds bounds that hold, `check_bounds` proves the declared ones or gives a counterexample. Admissible are the
-theta of the declared box with abs(Delta_3) <= delta_3; Theorem 2 of [1] needs delta_3 < 1.
+theta of the declared box with abs(Delta_3) <= delta_3; [1] needs delta_3 < 1.
 
 [1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output time-derivatives
     to compensate unmatched uncertainties.
@@ -123,7 +123,9 @@ def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator
     verdict = _separate_verdict(u, name, bound, budget, tolerance)
     if verdict is not None:
         return verdict
-    found = falsify(sp.Abs(numerator), bound * denominator, u.box, rng, where=u.where, tolerance=tolerance)
+    found = falsify(
+        sp.Abs(numerator, evaluate=False), bound * denominator, u.box, rng, where=u.where, tolerance=tolerance
+    )
     if found is not None:
         raise ValueError(_refusal(name, numerator / denominator, bound, found.point))
     verdict = _two_sided(numerator, bound * denominator, u.box, u.where, budget, tolerance)

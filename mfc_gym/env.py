@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mfc_gym import rendering
 from mfc_gym.simulation import Simulation
+from mfc_gym.streams import OneStream
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
-        self._row = self.simulation.begin(lambda _: self.np_random, options)[0]
+        self._row = self.simulation.begin(OneStream(lambda: self.np_random), options)[0]
         observation = self.simulation.kernel.first_observation(self._row, self.simulation.settings)
         if self._recorder is not None:
             self._recorder.begin(observation)

@@ -13,9 +13,8 @@ import sympy as sp
 
 from mfc_gym.complexity import expanded_terms
 
-FUNCTIONS: dict[
-    str, tuple[Callable[..., sp.Expr], int, int]
-] = {  # name -> (meaning, least, largest number of arguments)
+Meaning = tuple[Callable[..., sp.Expr], int, int]  # function, least and largest number of its arguments
+FUNCTIONS: dict[str, Meaning] = {
     **{
         f: (getattr(sp, f), 1, 1)
         for f in ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "atan", "asin", "acos", "sinh", "cosh", "sign")

@@ -19,6 +19,7 @@ from mfc_gym.plant_entries import EntryError, Key
 from mfc_gym.toml_lines import line_numbers
 
 SIZE = 65_536  # bytes
+DOTS = 300  # per line: the time to read a dotted key grows with the square of its length
 STATES, THETA = 12, 8  # at most
 BUDGET = 100_000  # interval operations per bound
 REQUIRED = ("name", "state", "f", "g", "Delta", "h")
@@ -53,10 +54,16 @@ def load_plant(path: str | os.PathLike[str]) -> FlatSystem:
 def _text(path: Path) -> str:
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file.")
-    with path.open("rb") as file:
-        content = file.read(SIZE + 1)
+    try:
+        with path.open("rb") as file:
+            content = file.read(SIZE + 1)
+    except OSError as error:
+        raise ValueError(f"{path}: the file cannot be read: {error.strerror}.") from None
     if len(content) > SIZE:
         raise ValueError(f"{path}: a plant file may have {SIZE} bytes, this one has more.")
+    for i, row in enumerate(content.split(b"\n"), start=1):
+        if row.count(b".") > DOTS:
+            raise ValueError(f"{path}, line {i}: a line may have {DOTS} dots, this one has {row.count(b'.')}.")
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:

@@ -1,7 +1,7 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any
@@ -15,6 +15,7 @@ from mfc_gym.differentiators import DIFFERENTIATORS
 from mfc_gym.nominal import NominalModel
 from mfc_gym.reward import COSTS
 from mfc_gym.sensors import Sensors
+from mfc_gym.streams import Source
 from mfc_gym.substeps import choose_substeps
 
 Array = NDArray[np.float64]
@@ -92,8 +93,7 @@ class Simulation:
         memory = np.full(stepping.sensor_memory(self.plant.order, self.sensors), np.nan)
         self._start = np.concatenate([self.initial_state, self.theta, parameters, memory, [0.0]])
         self._check(self._start[None])
-        self._theta_is_drawn = given.theta is None
-        self._columns, self._sets = self._drawn(given.initial_state is None)
+        self._drawn = self._sets(given)
         if given.substeps is None:
             self.substeps = choose_substeps(
                 self.plant, self.dt, self.input_limit, _positive("tolerance", given.tolerance)
@@ -158,7 +158,7 @@ class Simulation:
 
     def begin(
         self,
-        stream: Callable[[int], np.random.Generator],
+        source: Source,
         options: Mapping[str, Any] | None,
         chosen: Indices = (0,),
         num_envs: int | None = None,
@@ -166,8 +166,8 @@ class Simulation:
         """New episodes of the environments `chosen` (m,), one row each: shape (m, row), see `mfc_gym.stepping`.
 
         `options` may set `initial_state`, `theta` and `reference_parameters`; with `num_envs` also for each environment
-        (leading axis). In the random scenario the rest is drawn from `stream(i)`, the generator of environment i: first
-        theta, then the initial state, then the reference.
+        (leading axis). In the random scenario the rest is drawn from each environment's own stream: first theta, then
+        the initial state, then the reference.
         """
         options = _dict("options", options)
         if unknown := set(options) - set(RESET_OPTIONS):
@@ -175,10 +175,12 @@ class Simulation:
         given = self._given(options, chosen, num_envs)
         rows = np.empty((len(chosen), self._start.size))
         rows[:] = self._start
-        if self.scenario == "random":
-            self._draw(rows, [stream(int(i)) for i in chosen])
-        if self.sensors is not None:
-            rows[:, self._memory] = [stream(int(i)).integers(sensors.KEYS) for i in chosen]
+        if self._drawn is not None:
+            streams = source.take(chosen)
+            if not self.kernel.draw_all(rows, streams, *self._drawn):
+                low, high = self.plant.theta_set
+                raise ValueError(f"`theta` could not be drawn: none of {DRAWS} from {low} to {high} is admissible.")
+            source.put(chosen, streams)
         for columns, values in given:
             rows[:, columns] = values
         if given:
@@ -234,39 +236,25 @@ class Simulation:
             given.append((n + p + names.index(name), each[name][chosen] if name in each else value))
         return given
 
-    def _drawn(self, state: bool) -> tuple[list[int], tuple[Array, Array]]:
-        """What is drawn after theta: the column of each number (-1: given, hence dropped) and (low, high) of its set."""
-        n, p, columns, sets = self.plant.order, len(self.plant.theta), [], []
-        for i, name in enumerate(self.plant.state):
-            if state and name in self.plant.task.initial_set:
-                columns.append(i)
-                sets.append(np.clip(self.plant.task.initial_set[name], self.low[i], self.high[i]))
-        names = list(self.reference.defaults)
-        for name, interval in self.reference.sets.items():
-            columns.append(-1 if name in self.reference_parameters else n + p + names.index(name))
-            sets.append(np.array(interval))
-        low, high = np.array(sets).reshape(-1, 2).T
-        return columns, (low, high)
-
-    def _draw(self, rows: Array, streams: list[np.random.Generator]) -> None:
-        """Draws what is not fixed, each row from its own stream."""
-        n, p = self.plant.order, len(self.plant.theta)
-        pending = np.arange(len(rows) if self._theta_is_drawn else 0)
-        for _ in range(DRAWS):
-            if not pending.size:
-                break
-            rows[pending, n : n + p] = _uniform([streams[i] for i in pending], *self.plant.theta_set)
-            pending = pending[~self._admissible(rows[pending])]
-        else:
-            raise ValueError(f"`theta` could not be drawn: none of {DRAWS} from {self.plant.theta_set} is admissible.")
-        for column, values in zip(self._columns, _uniform(streams, *self._sets).T, strict=True):
-            if column >= 0:
-                rows[:, column] = values
-
-    def _admissible(self, rows: Array) -> NDArray[np.bool_]:
-        """Whether abs(Delta_3) <= delta_3 in each row, what every redesign controller is told."""
-        Delta_3, delta_3 = self.kernel.gain_uncertainty(rows).T
-        return np.abs(Delta_3) <= delta_3 * (1 + 1e-12)
+    def _sets(self, given: Settings) -> tuple[int, Array, Array, NDArray[np.intp], Array, Array] | None:
+        """What `draw_all` draws at the beginning of an episode; None: nothing."""
+        n, names = self.plant.order, list(self.reference.defaults)
+        drawn: list[tuple[int, float, float]] = []  # column of the row (-1: given, hence dropped), low, high
+        if self.scenario == "random":
+            for i, name in enumerate(self.plant.state):
+                if given.initial_state is None and name in self.plant.task.initial_set:
+                    low, high = np.clip(self.plant.task.initial_set[name], self.low[i], self.high[i])
+                    drawn.append((i, low, high))
+            for name, (low, high) in self.reference.sets.items():
+                column = n + len(self.plant.theta) + names.index(name)
+                drawn.append((-1 if name in self.reference_parameters else column, low, high))
+        attempts = DRAWS if self.scenario == "random" and given.theta is None else 0
+        if self.sensors is not None:
+            drawn.append((self._memory, 0.0, sensors.KEYS))
+        if not drawn and not attempts:
+            return None
+        columns, low, high = np.array(drawn).reshape(-1, 3).T.copy()
+        return attempts, *self.plant.theta_set, columns.astype(np.intp), low, high
 
     def _check(self, rows: Array, chosen: Indices = (0,)) -> None:
         n = self.plant.order
@@ -276,8 +264,8 @@ class Simulation:
             raise ValueError(
                 f"`initial_state` must lie in the operating region {self.low} to {self.high}, got {x[i]}{where[i]}."
             )
-        for i in np.flatnonzero(~self._admissible(rows))[:1]:
-            Delta_3, delta_3 = self.kernel.gain_uncertainty(rows[i : i + 1])[0]
+        i, Delta_3, delta_3 = self.kernel.inadmissible(rows)
+        if i >= 0:
             raise ValueError(
                 f"`theta` must keep abs(Delta_3) <= delta_3 = {delta_3:g}, "
                 f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{where[i]}."
@@ -300,11 +288,6 @@ def _measurement(given: Settings) -> tuple[Sensors | None, list[float]]:
         raise ValueError(f"`differentiator` must have keys among {sorted(tuning)}, got {sorted(map(str, unknown))}.")
     tuning |= {name: _positive(f"{name} of the differentiator", value) for name, value in own.items()}
     return sensors, [sensors.noise, sensors.state_noise, sensors.quantisation, sensors.dropout, *tuning.values()]
-
-
-def _uniform(streams: Sequence[np.random.Generator], low: Array, high: Array) -> Array:
-    """One number of each interval from each stream, shape (len(streams), len(low)), as `Generator.uniform` draws them."""
-    return low + (high - low) * np.array([stream.random(low.size) for stream in streams]).reshape(-1, low.size)
 
 
 def _one_of(name: str, value: object, known: Iterable[str]) -> None:

@@ -29,6 +29,7 @@ from numba import njit
 from mfc_gym.references import {reference} as reference
 from mfc_gym.reward import reward
 from mfc_gym.reward import {cost} as cost
+from mfc_gym.streams import random as draw
 from {nominal} import bounds
 from {plant} import integrate, is_inside, is_near, output_derivatives, rk4, uncertainty
 
@@ -190,16 +191,52 @@ def outputs(rows):
     return out
 
 
+@njit
+def gain_uncertainty(row):
+    """(Delta_3, delta_3)."""
+    {state} = {state_of_row}
+    return uncertainty({arguments})[1], bounds({state})[1]
+
+
+@njit
+def is_admissible(row):
+    """Whether abs(Delta_3) <= delta_3, what every redesign controller is told."""
+    Delta_3, delta_3 = gain_uncertainty(row)
+    return abs(Delta_3) <= delta_3 * (1.0 + 1e-12)
+
+
 @njit(cache=True, nogil=True)
-def gain_uncertainty(rows):
-    """(Delta_3, delta_3) of each row."""
-    out = np.empty((rows.shape[0], 2))
+def inadmissible(rows):
+    """(index, Delta_3, delta_3) of the first row that is not admissible; index -1: there is none."""
     for i in range(rows.shape[0]):
-        row = rows[i]
-        {state} = {state_of_row}
-        out[i, 0] = uncertainty({arguments})[1]
-        out[i, 1] = bounds({state})[1]
-    return out
+        if not is_admissible(rows[i]):
+            Delta_3, delta_3 = gain_uncertainty(rows[i])
+            return i, Delta_3, delta_3
+    return -1, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def draw_all(rows, streams, attempts, theta_low, theta_high, columns, low, high):
+    """Draws, each row from its own stream, theta and then the numbers of the columns (-1: dropped), uniformly.
+
+    Theta is drawn until it is admissible at the row's state. Returns whether the attempts were enough.
+    """
+    for i in range(rows.shape[0]):
+        row, stream = rows[i], streams[i]
+        found = attempts == 0
+        for _ in range(attempts):
+            for k in range({p}):
+                row[{n} + k] = theta_low[k] + (theta_high[k] - theta_low[k]) * draw(stream)
+            if is_admissible(row):
+                found = True
+                break
+        if not found:
+            return False
+        for k in range(columns.size):
+            value = low[k] + (high[k] - low[k]) * draw(stream)
+            if columns[k] >= 0:
+                row[columns[k]] = value
+    return True
 '''
 
 
@@ -342,5 +379,5 @@ def load(
     }
     parts = {key: text.format(**words) for key, text in (SENSED if sensors else IDEAL).items()}
     source = TEMPLATE.format(**words, **parts)
-    library = kernels.files("mfc_gym", "references", "reward", "sensors", "differentiators")
+    library = kernels.files("mfc_gym", "references", "reward", "sensors", "differentiators", "streams")
     return kernels.load(f"mfc_step_{kernels.key(source, kernels.fingerprint(*library))}", lambda: source)

@@ -19,7 +19,8 @@ from mfc_gym.triangle import ThetaSet, coefficients
 
 Array = NDArray[np.float64]
 Row = list[sp.Expr]
-SIZE = 4000  # nodes of all expressions together
+SIZE = 4000  # nodes of the bound
+UNKNOWNS, ROWS = 500, 4000  # of the linear programme
 
 
 def nonnegative_terms(bound: sp.Expr) -> Iterator[sp.Expr]:
@@ -40,7 +41,7 @@ def proves(
     """Whether abs(expression / divisor(theta)) <= bound (1 + tolerance) follows term by term."""
     terms = [sp.nsimplify(t, rational=True) for t in nonnegative_terms(bound) if t != 0]
     parts = coefficients(expression, list(theta.box))
-    if not terms or parts is None or node_count(expression) + sum(map(node_count, terms)) > SIZE:
+    if not terms or parts is None or sum(map(node_count, terms)) > SIZE:
         return False
     if any(enclose(t, region, budget=4000)[0] < 0 for t in terms):
         return False
@@ -107,7 +108,8 @@ def _solve(forms: Sequence[dict[sp.Expr, sp.Expr]], limits: Sequence[float], wei
     choice = sp.zeros(len(free), particular.cols)
     if free:
         order = [*free, *pivots]
-        best = _sparsest(np.array(particular, float), np.array(null, float), weights, np.array(limits)[order])
+        few = weights[:: 1 + len(order) * len(weights) // ROWS]
+        best = _sparsest(np.array(particular, float), np.array(null, float), few, np.array(limits)[order])
         choice = sp.Matrix.hstack(*(_exact(z, particular[:, j], null) for j, z in enumerate(best.T)))
     solved = particular - null * choice
     return [list(solved[pivots.index(k), :] if k in pivots else choice[free.index(k), :]) for k in unknowns]
@@ -132,6 +134,8 @@ def _sparsest(particular: Array, null: Array, weights: Array, limits: Array) -> 
     r consists of the rows of z and of particular - null @ z. Its least 1-norm leaves few entries, as an author's own terms do.
     """
     free, terms = null.shape[1], particular.shape[1]
+    if len(limits) * terms > UNKNOWNS:
+        return np.zeros((free, terms))
 
     def rows(scale: Array) -> tuple[Array, Array]:
         """(M, c) with M @ z.ravel() + c = (r @ scale.T / limits).ravel()."""
@@ -140,7 +144,7 @@ def _sparsest(particular: Array, null: Array, weights: Array, limits: Array) -> 
         inverse = np.repeat(1 / limits, len(scale))
         return matrix * inverse[:, None], offset * inverse
 
-    (size, size_0), (share, share_0) = rows(np.diag(np.abs(weights).max(axis=0))), rows(weights)
+    (size, size_0), (share, share_0) = rows(np.diag(np.abs(weights).max(axis=0, initial=0.0))), rows(weights)
     slack = np.eye(len(size))
     none = np.zeros((len(share), len(size)))
     matrix = np.block([[size, -slack], [-size, -slack], [share, none], [-share, none]])

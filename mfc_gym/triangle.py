@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Context, Decimal
 from itertools import islice, product
+from math import inf
 
 import numpy as np
 import sympy as sp
@@ -37,21 +38,23 @@ class ThetaSet:
         return [] if self.delta_3 is None else [self.Delta_3 - self.delta_3, -self.Delta_3 - self.delta_3]
 
     def supremum(self, p: sp.Expr) -> sp.Expr:
-        """sup abs(p(theta)) over the set, rounded up to eleven digits."""
+        """sup abs(p(theta)) over the set, rounded up to eleven digits; oo if no bound was found."""
         lifted = p if self.delta_3 is None else self._lift(p)
         low, high = enclose(lifted, self._lifted_box, tolerance=1e-9, budget=BUDGET)
         if lifted.free_symbols - {LIFTED} and self.delta_3 is not None:
             direct = enclose(p, self.box, where=self.where, budget=BUDGET)
             low, high = max(low, direct[0]), min(high, direct[1])
-        return round_up(max(-low, high))
+        return sp.oo if max(-low, high) == inf else round_up(max(-low, high, 0.0))
 
     def sample(self, functions: Sequence[sp.Expr]) -> Array:
         """The functions of theta at the corners, edge and face centres of the box (the admissible ones), shape (m, functions)."""
         axes = [(low, (low + high) / 2, high) for low, high in self.box.values()]
         points = np.array(list(islice(product(*axes), 729)), dtype=float).reshape(-1, len(axes))
         compiled = sp.lambdify(list(self.box), [*functions, *self.where], "numpy", dummify=True)
-        values = np.stack([np.broadcast_to(v, len(points)).astype(float) for v in compiled(*points.T)], axis=-1)
-        return values[(values[:, len(functions) :] <= ROUNDING).all(axis=-1), : len(functions)]
+        with np.errstate(all="ignore"):
+            values = np.stack([np.broadcast_to(v, len(points)).astype(float) for v in compiled(*points.T)], axis=-1)
+        admissible = (values[:, len(functions) :] <= ROUNDING).all(axis=-1) & np.isfinite(values).all(axis=-1)
+        return values[admissible, : len(functions)]
 
     @property
     def _lifted_box(self) -> Box:
@@ -77,7 +80,9 @@ def round_up(value: float) -> sp.Expr:
 
 
 def coefficients(expression: sp.Expr, theta: Sequence[sp.Symbol]) -> dict[sp.Expr, sp.Expr] | None:
-    """{p_j(theta): c_j(x)} with expression = sum_j p_j c_j, None if theta cannot be separated from the state."""
+    """{p_j(theta): c_j(x)} with expression = sum_j p_j c_j, None if theta is not separated by multiplying out."""
+    if node_count(expression) > SIZE:
+        return None
     parts: dict[sp.Expr, sp.Expr] = {}
     for term in sp.Add.make_args(sp.expand(expression)):
         c, p = term.as_independent(*theta, as_Add=False)
@@ -88,8 +93,8 @@ def coefficients(expression: sp.Expr, theta: Sequence[sp.Symbol]) -> dict[sp.Exp
 
 
 def triangle_bound(expression: sp.Expr, theta: ThetaSet, divisor: sp.Expr = sp.S.One) -> sp.Expr | None:
-    """A bound of abs(expression / divisor(theta)) for every admissible theta, None if the expression does not separate."""
-    parts = coefficients(expression, list(theta.box)) if node_count(expression) <= SIZE else None
+    """A bound of abs(expression / divisor(theta)) for every admissible theta, None if it cannot be found this way."""
+    parts = coefficients(expression, list(theta.box))
     if parts is None:
         return None
     separated: dict[sp.Expr, sp.Expr] = {}  # the parts whose c_j differ by a number only are taken together
@@ -98,6 +103,7 @@ def triangle_bound(expression: sp.Expr, theta: ThetaSet, divisor: sp.Expr = sp.S
         if direction.could_extract_minus_sign():
             number, direction = -number, -direction
         separated[direction] = separated.get(direction, sp.S.Zero) + number * p
+    suprema = [theta.supremum(sp.cancel(p / divisor)) for p in separated.values()]
     # SymPy tries hard to find the sign of what it does not know to be real
-    absolute = {c: sp.Abs(c, evaluate=bool(c.is_real)) for c in separated}
-    return sp.Add(*(theta.supremum(sp.cancel(p / divisor)) * absolute[c] for c, p in separated.items()))
+    absolute = [sp.Abs(c, evaluate=bool(c.is_real)) for c in separated]
+    return None if sp.oo in suprema else sp.Add(*(s * c for s, c in zip(suprema, absolute, strict=True)))

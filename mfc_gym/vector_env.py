@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mfc_gym.nominal import NominalModel
 from mfc_gym.simulation import Simulation
 from mfc_gym.stepping import BLOCK
+from mfc_gym.streams import ManyStreams
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -62,8 +63,9 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._columns = np.full((self.simulation.row_size, num_envs), np.nan)  # one episode each
         self._tabulated = self.simulation.tabulated()
         self._shape = (num_envs, *self.single_observation_space.shape)
-        self._streams = Streams(num_envs)
-        self._running = np.ones(num_envs, dtype=bool)  # False: the episode has ended, the next one has not begun
+        self._streams = ManyStreams(num_envs)
+        self._running = np.ones(num_envs, dtype=bool)
+        self._waiting = np.arange(0)  # where the episode has ended and the next one has not begun
         self._begun = False  # whether every environment has been reset
         if threads is None:
             work = num_envs * (self.simulation.substeps + 4)
@@ -103,13 +105,13 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     @property  # type: ignore[misc]  # Gymnasium's is one generator with a setter; a tuple as in SyncVectorEnv
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """The generator of each environment."""
-        return tuple(self._streams(i) for i in range(self.num_envs))
+        """A copy of each environment's generator."""
+        return self._streams.generators()
 
     @property
     def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
         """The seed of each environment."""
-        return tuple(self._streams.seed(i) for i in range(self.num_envs))
+        return self._streams.seeds()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
@@ -122,6 +124,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             self._streams.reseed(chosen, self._seeds(seed))
         self._begin(chosen, options)
         self._running[chosen] = True
+        self._waiting = np.flatnonzero(~self._running)
         self._begun = not np.isnan(self._columns[-1]).any()
         observations = np.empty(self._shape)
         self._observe(np.ones(self.num_envs, dtype=bool), observations)
@@ -129,18 +132,19 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     def step(self, actions: Any) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         self._require_running()
-        values, active = self._actions(actions), self._running
-        if not active.all():
-            self._begin(np.flatnonzero(~active), None)
+        values = self._actions(actions)
+        if self._waiting.size:
+            self._begin(self._waiting, None)
         observations, rewards = np.empty(self._shape), np.empty(self.num_envs)
         terminated, truncated = np.empty(self.num_envs, dtype=bool), np.empty(self.num_envs, dtype=bool)
-        self._advance(values, active, observations, rewards, terminated, truncated)
+        self._advance(values, observations, rewards, terminated, truncated)
         ended = terminated | truncated
-        info = self._info(observations, terminated, ended) if ended.any() else {}
+        chosen = np.flatnonzero(ended)
+        info = self._info(observations, terminated, ended, chosen) if chosen.size else {}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            self._running = ~ended
-        elif info:
-            self._begin(np.flatnonzero(ended), None)
+            self._running, self._waiting = ~ended, chosen
+        elif chosen.size:
+            self._begin(chosen, None)
             self._observe(ended, observations)
         return observations, rewards, terminated, truncated, info
 
@@ -150,24 +154,24 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def _observe(self, chosen: Mask, observations: Array) -> None:
         self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, observations)
 
-    def _advance(self, values: Array, active: Mask, *results: Array) -> None:
+    def _advance(self, values: Array, *results: Array) -> None:
         """The kernel, the first span here and the others in further threads."""
         simulation = self.simulation
-        arguments: list[Any] = [self._columns, values, simulation.settings, active, *self._tabulated, *results]
+        arguments: list[Any] = [self._columns, values, simulation.settings, self._running, *self._tabulated, *results]
         first, *others = self._spans
         pending = [workers().submit(simulation.kernel.advance_all, *arguments, *span) for span in others]
         simulation.kernel.advance_all(*arguments, *first)
         for span in pending:
             span.result()
 
-    def _info(self, observations: Array, terminated: Mask, ended: Mask) -> dict[str, Any]:
+    def _info(self, observations: Array, terminated: Mask, ended: Mask, chosen: NDArray[np.intp]) -> dict[str, Any]:
         """What Gymnasium's vector environments make of the scalar environments' infos."""
         success = np.zeros(self.num_envs, dtype=bool)
-        success[ended] = self.simulation.success(observations[ended], terminated[ended])
+        success[chosen] = self.simulation.success(observations[chosen], terminated[chosen])
         info: dict[str, Any] = {"is_success": success, "_is_success": ended.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = np.full(self.num_envs, None, dtype=object)
-            final[ended] = np.fromiter(observations[ended], dtype=object)
+            final[chosen] = np.fromiter(observations[chosen], dtype=object)
             info = {"final_obs": final, "_final_obs": ended.copy(), "final_info": info, "_final_info": ended.copy()}
         return info
 
@@ -179,9 +183,9 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     def _require_running(self) -> None:
         self._require_reset()
-        if self.autoreset_mode is AutoresetMode.DISABLED and not self._running.all():
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._waiting.size:
             raise gym.error.ResetNeeded(
-                f"The episode of environment {self._running.argmin()} has ended: call "
+                f"The episode of environment {self._waiting[0]} has ended: call "
                 'reset(options={"reset_mask": terminated | truncated}) before step.'
             )
 
@@ -224,31 +228,6 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         if len(seeds) != self.num_envs:
             raise ValueError(f"`seed` must be an integer or {self.num_envs} of them, got {len(seeds)}.")
         return seeds
-
-
-class Streams:
-    """The random stream of each environment: the one of a scalar environment with its seed, made when first drawn from."""
-
-    def __init__(self, num_envs: int) -> None:
-        self._seeds: list[int | None] = [None] * num_envs
-        self._made: dict[int, np.random.Generator] = {}
-
-    def __call__(self, i: int) -> np.random.Generator:
-        if i not in self._made:
-            self._made[i], self._seeds[i] = seeding.np_random(self._seeds[i])
-        return self._made[i]
-
-    def seed(self, i: int) -> int | None:
-        """Where the stream of environment i began."""
-        self(i)
-        return self._seeds[i]
-
-    def reseed(self, chosen: NDArray[np.intp], seeds: Sequence[int | None]) -> None:
-        """Begins the stream of each chosen environment anew, except where its seed is None."""
-        for i in chosen.tolist():
-            if seeds[i] is not None:
-                self._seeds[i] = seeds[i]
-                self._made.pop(i, None)
 
 
 def cores() -> int:

@@ -124,6 +124,13 @@ BAD = [
     ("a file that never ends", "name =", "#" + "x" * 70_000 + "\nname =", None, "may have 65536 bytes"),
     ("nested lists", '"-k*x1"', DEEP, None, "nested too deeply"),
     ("nested lists in TOML's limits", '"-k*x1"', "[" * 40 + "]" * 40, 3, "must be a number of moderate size"),
+    (
+        "an endless dotted key",
+        "k = 2.0",
+        "k" + ".k" * 9000 + " = 2.0",
+        12,
+        "a line may have 300 dots, this one has 9001",
+    ),
     ("no TOML", "name =", "name ==", 1, "not valid TOML"),
     ("too many terms", '"x2", "-k*x1"', '"x2*(x1 + x2 + 1)^16/(x1^2 + x2^2 + 1)^16", 0', 3, "too many terms"),
     (

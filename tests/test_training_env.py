@@ -5,16 +5,17 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from baselines.agents import make_vec_env  # noqa: E402 (needs the extra)
-from baselines.training_env import VALUES, TrainingEnv, features  # noqa: E402
+from baselines.agents import make_vec_env
+from baselines.training_env import VALUES, TrainingEnv, features
 
-ENV, GAMMA, DT, COST_MAX = "mfc_gym/PerturbedChain-v0", 0.98, 0.05, 10.0
-OPTIONS = {"scenario": "random", "dt": DT, "horizon": 2.0}
+ENV, GAMMA = "mfc_gym/PerturbedChain-v0", 0.98
+OPTIONS = {"scenario": "random", "dt": 0.05, "horizon": 2.0}
 
 
 @pytest.fixture
 def env() -> TrainingEnv:
-    return TrainingEnv(make_vec_env(ENV, 8, seed=0, **OPTIONS), features(ENV, OPTIONS, 0), GAMMA, DT, COST_MAX)
+    venv = make_vec_env(ENV, 8, seed=0, **OPTIONS)
+    return TrainingEnv(venv, features(ENV, OPTIONS, 0), GAMMA, venv.get_attr("simulation")[0])
 
 
 def test_features_are_observation_and_error_to_scale(env: TrainingEnv) -> None:
@@ -50,3 +51,10 @@ def test_no_return_is_worse_than_the_largest_cost_for_ever(env: TrainingEnv) -> 
     assert ended.all()
     assert (total >= -VALUES * (1 + 1e-6)).all()
     assert total.min() < -VALUES / 4
+
+
+def test_the_reward_is_a_logarithm_of_the_cost(env: TrainingEnv) -> None:
+    """0 for none, -VALUES (1 - gamma) for cost_max, and half of what is between them where 1 + cost / precision is the root."""
+    root = env.precision * (np.sqrt(1 + env.cost_max / env.precision) - 1)
+    paid = env._paid(-env.dt * np.array([0.0, root, env.cost_max], dtype=np.float32))
+    assert np.allclose(paid, -VALUES * (1 - GAMMA) * np.array([0.0, 0.5, 1.0]), rtol=0, atol=1e-6)
