@@ -1,5 +1,6 @@
 """Where a result comes from: versions, commit, command line, machine."""
 
+import os
 import platform
 import subprocess
 import sys
@@ -34,6 +35,16 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def processor() -> str:
+    """The processor's own name, and how many cores."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        name = platform.machine()
+    return f"{name}, {os.cpu_count()} cores"
 
 
 def provenance() -> dict[str, Any]:

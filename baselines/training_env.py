@@ -68,7 +68,7 @@ class TrainingEnv(VecEnvWrapper):
         cost = np.maximum(-rewards.astype(float) / self.dt, 0.0)
         relative = self._shape(cost / self.precision) / self._shape(self.cost_max / self.precision)
         ended = cost > 1.001 * self.cost_max
-        return np.where(ended, -VALUES, -VALUES * (1.0 - self.gamma) * relative).astype(np.float32)
+        return np.where(ended, -3 * VALUES, -VALUES * (1.0 - self.gamma) * relative).astype(np.float32)
 
     @staticmethod
     def _shape(z: Any) -> Any:

@@ -16,7 +16,9 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
+from baselines import provenance
 from baselines.exact_metrics import total_variation
+from baselines.speed import MEASUREMENTS
 
 ID = "mfc_gym/PerturbedChain-v0"
 POLES = {"model_poles": (-1.0,) * 3, "poles": (-4.0,) * 3}
@@ -42,6 +44,14 @@ class Sampled:
     """Random admissible theta and initial states in the unit ball"""
     seed: int = 0
     """Seed of these"""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """How fast: each thing beside its yardstick, medians and ratios of one run."""
+
+    only: tuple[str, ...] = ()
+    """Names of the measurements to make; left out: all"""
 
 
 def deviation(
@@ -130,9 +140,30 @@ def laws(args: Sampled, console: Console) -> None:
     console.print(table)
 
 
-def main(args: Sampled) -> None:
+def speed(args: Speed, console: Console) -> None:
+    """All measurements as one table."""
+    if unknown := set(args.only) - set(MEASUREMENTS):
+        raise ValueError(f"`only` must be among {sorted(MEASUREMENTS)}, got {sorted(unknown)}.")
+    versions = ", ".join(f"{name} {version}" for name, version in provenance.versions().items())
+    table = Table(title=f"{provenance.processor()}, {versions}")
+    for column in ("", "value", "unit", "ratio"):
+        table.add_column(column, justify="left" if column in ("", "unit") else "right")
+    for name in args.only or MEASUREMENTS:
+        table.add_row(f"[bold]{name}[/bold]")
+        for what, value, unit, ratio in track(MEASUREMENTS[name](), name, console=console, transient=True):
+            table.add_row(
+                what, f"{value:,.3g}" if value < 1000 else f"{value:,.0f}", unit, f"{ratio:.2f}" if ratio else ""
+            )
+        table.add_section()
+    console.print(table)
+
+
+def main(args: Sampled | Speed) -> None:
     """Run and print."""
-    console = Console(width=110 if not sys.stdout.isatty() else None)
+    console = Console(width=None if sys.stdout.isatty() else 110)
+    if isinstance(args, Speed):
+        speed(args, console)
+        return
     accuracy(console)
     admissible_set(args, console)
     laws(args, console)
@@ -140,7 +171,11 @@ def main(args: Sampled) -> None:
 
 def run() -> None:
     """The command line."""
-    main(tyro.extras.subcommand_cli_from_dict({"sampled": Sampled}, description=__doc__))
+    try:
+        main(tyro.extras.subcommand_cli_from_dict({"sampled": Sampled, "speed": Speed}, description=__doc__))
+    except ValueError as error:
+        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

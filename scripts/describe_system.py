@@ -1,7 +1,7 @@
 """Describe a plant: equations, coordinates, matched and unmatched parts, uncertainty, bounds, sliding poles.
 
-    python scripts/describe_system.py mfc_gym/PerturbedChain-v0
-    python scripts/describe_system.py docs/plants/van_der_pol.toml
+python scripts/describe_system.py mfc_gym/PerturbedChain-v0
+python scripts/describe_system.py docs/plants/van_der_pol.toml
 """
 
 import sys
