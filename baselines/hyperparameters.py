@@ -21,6 +21,9 @@ class Hyperparameters:
     hidden: tuple[int, ...]  # widths of the hidden layers, of the actor and of the critic
     options: Mapping[str, Any]  # of the algorithm's constructor, gamma among them
     policy: Mapping[str, Any] = field(default_factory=dict)  # further `policy_kwargs`
+    episode: float = (
+        0.3  # length of the training's episodes over the horizon: the shorter, the more transients are seen
+    )
     noise: float = 0.0  # standard deviation of the action noise, in actions
     log_std: tuple[float, float] | None = None  # of a Gaussian policy, at the start and at the end; None: it is learnt
 
@@ -45,7 +48,7 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
         activation="tanh",
         hidden=(64, 64),
         options={"gamma": 0.98, "gae_lambda": 0.95, "n_steps": 128, "batch_size": 1024, "n_epochs": 10},
-        log_std=(-1.0, -2.0),  # left to itself it ends at -1.6, and the tail error is what this noise does
+        log_std=(-1.0, -1.5),
     ),
     "sac": Hyperparameters(
         timesteps=300_000,

@@ -47,9 +47,10 @@ class Training:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.features: Features = features(plan.env, plan.options, SCALING)
-        given, seen = plan.hyperparameters, self.features
-        self.model = learner.build(plan.algorithm, plan.env, plan.options, given, seen, plan.seed)
         self.evaluation = Evaluation(plan.env, plan.options, plan.episodes, VALIDATION)
+        given, seen, task = plan.hyperparameters, self.features, self.evaluation.simulation
+        options = {**plan.options, "horizon": max(1, round(given.episode * task.steps)) * task.dt}
+        self.model = learner.build(plan.algorithm, plan.env, options, given, seen, plan.seed)
         self.curve: list[Row] = []
         self.best: Agent | None = None
 

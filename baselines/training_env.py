@@ -17,7 +17,11 @@ from baselines.rollout import rollout
 from mfc_gym import observation as layout
 from mfc_gym.simulation import Simulation
 
-VALUES = 10.0  # the value function lies between -VALUES and 0
+VALUES = 10.0  # the discounted sum of the largest cost for ever
+ESCAPE = 30.0  # leaving the region
+BORDER = 5.0  # times the largest cost, at the border; it falls to 0 at INNER, relative to the region's half width
+INNER = 0.8
+KNEE = 20.0  # cost over precision above which the shape is linear rather than logarithmic
 EPISODES = 64  # of the reference policy, which set the scale
 
 
@@ -36,18 +40,28 @@ def features(id: str, options: Mapping[str, Any], seed: int) -> Features:
     return Features(matrix / scale[:, None], -mean / scale)
 
 
-class TrainingEnv(VecEnvWrapper):
-    """Observations as features; rewards -VALUES (1 - gamma) log(1 + cost / precision) / log(1 + cost_max / precision).
+def shape(z: Any) -> Any:
+    """log(1 + z) + z / KNEE of the cost z over the precision asked for.
 
-    The logarithm makes what is left of an error count as much as the error that was there: with the cost itself the transients
-    of the first second outweigh the tail. The discounted sum lies between -VALUES (cost_max for ever) and 0: what the
-    environment charges at once for leaving the region, cost_max for the rest of the horizon, is limited to that.
+    Of the cost alone a learner sees the transients, which outweigh what is left afterwards by a hundred; of its logarithm alone
+    it does not see that it should not leave the region.
+    """
+    return np.log1p(z) + z / KNEE
+
+
+class TrainingEnv(VecEnvWrapper):
+    """Observations as features; rewards -VALUES (1 - gamma) shape(cost / precision) / shape(cost_max / precision).
+
+    The discounted sum of the costs lies between -VALUES and 0 (cost_max for ever). The fastest transients run along the border of
+    the region, a hair's breadth inside: being near it costs too, or some of them leave it. Leaving the region, for which the
+    environment charges cost_max for the rest of the horizon at once, costs -ESCAPE: an undiscounted sum would drown all else.
     """
 
     def __init__(self, venv: VecEnv, features: Features, gamma: float, task: Simulation) -> None:
         self.features = features
         self.gamma, self.dt = gamma, task.dt
         self.cost_max = float(task.settings[4])
+        self.middle, self.half = (task.low + task.high) / 2, (task.high - task.low) / 2
         self.precision = task.plant.task.success_error
         size = len(features.offset)
         super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, (size,), np.float32))
@@ -59,17 +73,15 @@ class TrainingEnv(VecEnvWrapper):
         observations, rewards, dones, infos = self.venv.step_wait()
         for i in np.flatnonzero(dones):
             infos[i]["terminal_observation"] = self._seen(infos[i]["terminal_observation"])
-        return self._seen(observations), self._paid(rewards), dones, infos  # type: ignore[arg-type]
+        return self._seen(observations), self._paid(rewards, layout.state(observations)), dones, infos  # type: ignore[arg-type]
 
     def _seen(self, observations: Array) -> NDArray[np.float32]:
         return self.features(observations).astype(np.float32)
 
-    def _paid(self, rewards: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _paid(self, rewards: NDArray[np.float32], x: Array) -> NDArray[np.float32]:
         cost = np.maximum(-rewards.astype(float) / self.dt, 0.0)
-        relative = self._shape(cost / self.precision) / self._shape(self.cost_max / self.precision)
-        ended = cost > 1.001 * self.cost_max
-        return np.where(ended, -3 * VALUES, -VALUES * (1.0 - self.gamma) * relative).astype(np.float32)
-
-    @staticmethod
-    def _shape(z: Any) -> Any:
-        return np.log1p(z) + z / 20.0
+        relative = shape(cost / self.precision) / shape(self.cost_max / self.precision)
+        nearness = (np.abs(x - self.middle) / self.half).max(axis=-1)
+        border = BORDER * np.clip((nearness - INNER) / (1.0 - INNER), 0.0, 1.0)
+        escaped = cost > 1.001 * self.cost_max
+        return np.where(escaped, -ESCAPE, -VALUES * (1.0 - self.gamma) * (relative + border)).astype(np.float32)

@@ -19,14 +19,16 @@ class Evaluation:
 
     def __init__(self, env: str, options: Mapping[str, Any], episodes: int, seed: int) -> None:
         self.envs: Any = gym.make_vec(env, episodes, vectorization_mode="vector_entry_point", **options)
+        unwrapped: Any = self.envs.unwrapped
+        self.simulation = unwrapped.simulation
         self.seed = seed
         self.reference: Row = self(registry.make("mfc", self.envs))
 
     def __call__(self, policy: Any) -> Row:
         """Mean return, median and worst tail RMS (None: an episode left the region), and the number that left it."""
-        simulation = self.envs.unwrapped.simulation
+        limit, horizon = self.simulation.input_limit, self.simulation.horizon
         trajectory = rollout(self.envs, policy, seed=self.seed)
-        episodes = [evaluate(one, simulation.input_limit, simulation.horizon) for one in trajectory.episodes()]
+        episodes = [evaluate(one, limit, horizon) for one in trajectory.episodes()]
         tail = np.array([one["tail_rms"] for one in episodes])
         return {
             "return": float(np.mean([one["return"] for one in episodes])),

@@ -141,8 +141,10 @@ class Simulation:
         x[0], x[1] = centre - half, centre + half
         xi_n = np.abs([self.plant.kernel.output_derivatives_at(a, b) for a in x for b in theta[:16]])
         extremes = self.reference.extremes(self.reference_parameters)
-        times = np.linspace(0.0, self.horizon, 64)
-        yd = np.max([np.abs(self.reference.evaluate(times, p, n)).max(axis=0) for p in extremes], axis=0)
+        tables = np.empty((len(extremes), 64, n + 1))
+        for parameters, table in zip(extremes, tables, strict=True):
+            self.kernel.tabulate(parameters, self.horizon / 63, table)
+        yd = np.abs(tables).max(axis=(0, 1))
         above = np.concatenate([centre + half, 2.0 * xi_n.max(axis=0), 2.0 * yd + 1.0])
         below = np.concatenate([centre - half, -above[n:]])
         assert above.size == observation.size(n)
