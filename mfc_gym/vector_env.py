@@ -22,7 +22,7 @@ from mfc_gym.streams import ManyStreams
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-THREAD_WORK = 20_000  # substeps (and 4 more for the rest of a step) of all environments that pay for one more thread
+THREAD_WORK = 50_000  # substeps of all environments (and 4 more each) that pay for one thread: about 100 microseconds
 
 
 class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
