@@ -238,10 +238,11 @@ def memory() -> list[Row]:
         return float(run.stdout)
 
     base = kilobytes(1)
-    rows: list[Row] = [("1 environment, the whole process", base / 1024, "MB", None)]
-    for n in (1024, 65536):
-        rows.append((f"each of {n} more", max(kilobytes(n) - base, 0.0) * 1024 / n, "bytes", None))
-    return rows
+    more = [(n, max(kilobytes(n) - base, 0.0) * 1024 / n) for n in (1024, 65536)]
+    return [
+        ("1 environment, the whole process", base / 1024, "MB", None),
+        *((f"each of {n} more", value, "bytes", None) for n, value in more),
+    ]
 
 
 def collection(num_envs: int = 64) -> list[Row]:

@@ -20,7 +20,7 @@ from mfc_gym.simulation import Simulation
 VALUES = 10.0  # the discounted sum of the largest cost for ever
 ESCAPE = 30.0  # leaving the region
 BORDER = 5.0  # times the largest cost, at the border; it falls to 0 at INNER, relative to the region's half width
-INNER = 0.8
+INNER = 0.6
 KNEE = 20.0  # cost over precision above which the shape is linear rather than logarithmic
 EPISODES = 64  # of the reference policy, which set the scale
 

@@ -80,7 +80,11 @@ class Sensors:
             value = getattr(sensors, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
                 raise ValueError(f"`{name}` of the sensors must be finite and >= 0, got {value!r}.")
-        if isinstance(sensors.dropout, bool) or not isinstance(sensors.dropout, (int, float)) or not 0 <= sensors.dropout < 1:
+        if (
+            isinstance(sensors.dropout, bool)
+            or not isinstance(sensors.dropout, (int, float))
+            or not 0 <= sensors.dropout < 1
+        ):
             raise ValueError(f"`dropout` of the sensors must lie in [0, 1), got {sensors.dropout!r}.")
         if isinstance(sensors.delay, bool) or not isinstance(sensors.delay, int) or not 0 <= sensors.delay <= 1000:
             raise ValueError(f"`delay` of the sensors must be an integer from 0 to 1000, got {sensors.delay!r}.")

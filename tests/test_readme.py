@@ -12,7 +12,11 @@ ROOT = Path(__file__).parents[1]
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
 PYTHON = [block for language, block in BLOCKS if language == "python"]
 COMMANDS = [
-    line.split("  #")[0].strip() for language, block in BLOCKS if language == "sh" for line in block.splitlines() if line.strip()
+    line.split("  #")[0].strip()
+    for language, block in BLOCKS
+    if language == "sh"
+    for line in block.splitlines()
+    if line.strip()
 ]
 
 

@@ -22,7 +22,9 @@ def test_evaluation_writes_results_that_agree(tmp_path: Path, capsys: pytest.Cap
     evaluate("mfc", "matched-only", scenario="random", episodes=3, seed=7, exact=1, horizon=4.0, out=tmp_path)
     data = json.loads((tmp_path / "results.json").read_text())
     rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
-    assert [(row["controller"], row["seed"]) for row in rows] == [(c, str(s)) for c in ("mfc", "matched-only") for s in (7, 8, 9)]
+    assert [(row["controller"], row["seed"]) for row in rows] == [
+        (c, str(s)) for c in ("mfc", "matched-only") for s in (7, 8, 9)
+    ]
     assert data["seeds"] == [7, 8, 9]
     for result, cut in zip(data["results"], (rows[:3], rows[3:]), strict=True):
         for episode, row in zip(result["episodes"], cut, strict=True):

@@ -97,7 +97,14 @@ def test_dropouts_hold_the_last_sample() -> None:
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_scalar_and_vector_agree_bit_for_bit(mode: AutoresetMode) -> None:
-    sensors = {"noise": 1e-3, "state_noise": 1e-4, "delay": 2, "dropout": 0.1, "quantisation": 1e-4, "distribution": "gaussian"}
+    sensors = {
+        "noise": 1e-3,
+        "state_noise": 1e-4,
+        "delay": 2,
+        "dropout": 0.1,
+        "quantisation": 1e-4,
+        "distribution": "gaussian",
+    }
     options = {**DIFFERENTIATED, "sensors": sensors, "scenario": "random"}
     envs = gym.make_vec(ID, num_envs=3, vectorization_mode="vector_entry_point", autoreset_mode=mode, **options)
     batch = baselines.rollout(envs, baselines.make("mfc", envs), seed=5)
@@ -109,13 +116,16 @@ def test_scalar_and_vector_agree_bit_for_bit(mode: AutoresetMode) -> None:
             assert np.array_equal(getattr(alone, name)[:steps], getattr(batch, name)[:steps, i])
 
 
-@pytest.mark.parametrize("guess", [[0.0, 0.0, 0.0], [1.0, 3.0, 5.0]])
-def test_the_loop_survives_a_wrong_initial_estimate(guess: list[float]) -> None:
-    """A fixed bound L would diverge from these (the run-time bound is what keeps it); the tail is as from the right guess."""
-    env = gym.make(ID, derivatives="ired", dt=0.001)
-    trajectory = baselines.rollout(env, baselines.make("mfc", env), options={"initial_estimate": guess})
-    assert not trajectory.terminated
-    assert np.abs(trajectory.error[10_000:]).max() < 1e-3
+@pytest.mark.parametrize("derivatives", ["ired", "ired-linear", "high-gain"])
+def test_the_loop_survives_a_wrong_initial_estimate(derivatives: str) -> None:
+    """y' off by 0.5 at the start; the tail is as from the right guess, within 1 %."""
+    env = gym.make(ID, derivatives=derivatives, dt=0.001)
+    controller = baselines.make("mfc", env, initial_model_state="reference")
+    wrong = baselines.rollout(env, controller, options={"initial_estimate": [1.0, 0.5, 0.0]})
+    right = baselines.rollout(env, controller)
+    assert not wrong.terminated
+    tails = [np.abs(t.error[10_000:]).max() for t in (wrong, right)]
+    assert tails[0] == pytest.approx(tails[1], rel=0.01)
 
 
 @pytest.mark.parametrize("derivatives", ["ired", "hdd", "ired-linear", "high-gain"])
@@ -138,13 +148,19 @@ def test_the_reference_policy_with_noise_neither_diverges_nor_chatters(derivativ
     [
         ({"derivatives": "guessed"}, "`derivatives` must be one of"),
         ({"sensors": {"noise": 1e-3}}, "must come with derivatives"),
-        ({"derivatives": "ired", "sensors": {"noise": -1.0}}, "`noise` of the sensors must be finite and >= 0, got -1.0"),
+        (
+            {"derivatives": "ired", "sensors": {"noise": -1.0}},
+            "`noise` of the sensors must be finite and >= 0, got -1.0",
+        ),
         ({"derivatives": "ired", "sensors": {"colour": 1.0}}, "`sensors` must be a dict with keys among"),
         ({"derivatives": "ired", "sensors": {"dropout": 1.0}}, r"`dropout` of the sensors must lie in \[0, 1\)"),
         ({"derivatives": "ired", "sensors": {"delay": 1.5}}, "`delay` of the sensors must be an integer"),
         ({"derivatives": "ired", "sensors": {"distribution": "flat"}}, "`distribution` of the sensors must be one of"),
         ({"derivatives": "high-gain", "differentiator": {"bandwith": 3.0}}, "`differentiator` must have keys among"),
-        ({"derivatives": "high-gain", "differentiator": {"bandwidth": 0.0}}, "`bandwidth of the differentiator` must be positive"),
+        (
+            {"derivatives": "high-gain", "differentiator": {"bandwidth": 0.0}},
+            "`bandwidth of the differentiator` must be positive",
+        ),
     ],
 )
 def test_errors(options: dict[str, object], message: str) -> None:

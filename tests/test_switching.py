@@ -32,7 +32,9 @@ def test_saturation_is_linear_inside_the_layer() -> None:
 def test_implicit_solves_the_set_valued_equation() -> None:
     """v in -Gamma Sgn(s_next) with s_next = a + b v: zero next s with abs(v) <= Gamma, or full gain against its sign."""
     rng = np.random.default_rng(0)
-    for s, a, b, Gamma in np.abs(rng.normal(size=(1000, 4))) * [1, 3, 1, 1] * rng.choice([-1, 1], (1000, 4)) ** [0, 1, 0, 0]:
+    for s, a, b, Gamma in (
+        np.abs(rng.normal(size=(1000, 4))) * [1, 3, 1, 1] * rng.choice([-1, 1], (1000, 4)) ** [0, 1, 0, 0]
+    ):
         v = implicit(s, a, b, 0.0, Gamma, 0.0, 0.1)
         after = a + b * v
         if abs((s - a) / b) <= Gamma:  # the surface can be kept
@@ -101,7 +103,9 @@ def test_implicit_laws_do_not_chatter() -> None:
     exact = total_variation(baselines.filippov(env, baselines.make("mfc", env, design="paper", **PAPER)), 10.0, 20.0)
     ratio = {}
     for switching in ("sign", "implicit-observer"):
-        control = baselines.rollout(env, baselines.make("mfc", env, design="paper", switching=switching, **PAPER)).control
+        control = baselines.rollout(
+            env, baselines.make("mfc", env, design="paper", switching=switching, **PAPER)
+        ).control
         ratio[switching] = np.abs(np.diff(control[1000:])).sum() / exact
     assert ratio["implicit-observer"] == pytest.approx(1.0, abs=0.02)
     assert ratio["sign"] > 100
@@ -124,7 +128,10 @@ def test_saturation_of_the_input_does_not_wind_up_the_estimate() -> None:
     env = gym.make("mfc_gym/PerturbedChain-v0", dt=0.01, input_limit=6.0)
     options = {"initial_state": [0.8, 0.0, 0.0]}
     controller = baselines.make("mfc", env, initial_model_state="reference")
-    sampled, exact = baselines.rollout(env, controller, options=options), baselines.filippov(env, controller, options=options)
+    sampled, exact = (
+        baselines.rollout(env, controller, options=options),
+        baselines.filippov(env, controller, options=options),
+    )
     assert (np.abs(sampled.control[:20]) >= 6.0).any()
     assert not sampled.terminated
     assert not exact.terminated

@@ -10,13 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
-from baselines.agent_files import load_agent  # noqa: E402 (needs the extra)
+import baselines  # noqa: E402
+from baselines.agent_files import load_agent  # noqa: E402
 from baselines.hyperparameters import HYPERPARAMETERS  # noqa: E402
 from baselines.learner import TRAINING  # noqa: E402
 from baselines.training import SCALING, VALIDATION, Plan, Training, train  # noqa: E402
@@ -176,3 +178,16 @@ def test_arguments_that_cannot_work_are_refused(arguments: dict[str, Any], messa
     with pytest.raises(ValueError, match=message):
         train_rl.main(train_rl.Arguments(out=tmp_path, **arguments))
     assert not list(tmp_path.iterdir())
+
+
+def test_an_agent_runs_as_any_policy(short: None, tmp_path: Path) -> None:
+    """One episode and a batch of them see the same actions."""
+    train(Plan("ppo", ENV, OPTIONS, seed=0, timesteps=512, episodes=2), tmp_path)
+    agent = load_agent(tmp_path / "last", "ppo")
+    env = gym.make(ENV, **OPTIONS)
+    envs = gym.make_vec(ENV, 3, vectorization_mode="vector_entry_point", **OPTIONS)
+    batch = list(baselines.rollout(envs, agent, seed=5).episodes())
+    for i, episode in enumerate(batch):
+        alone = baselines.rollout(env, agent, seed=5 + i)
+        assert np.abs(alone.control - episode.control).max() < 1e-3  # float32 actions, times the input limit
+    assert agent.environment["options"] == OPTIONS
