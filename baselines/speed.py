@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 
 from baselines import lyapunov, registry, rollout_kernel
 from baselines.filippov import filippov
+from baselines.redesign import LyapunovRedesign
 from baselines.redesign_kernel import Layout
 
 Row = tuple[str, float, str, float | None]  # what, value, unit, ratio to the yardstick (None: it is the yardstick)
@@ -81,7 +82,7 @@ def vector(num_envs: int = 16384) -> list[Row]:
 
         return work
 
-    native = {"vectorization_mode": "vector_entry_point"}
+    native: dict[str, Any] = {"vectorization_mode": "vector_entry_point"}
     yardstick = median_rate(steps(gym.make_vec("CartPole-v1", num_envs=num_envs, **native)))
     rows: list[Row] = [(f"CartPoleVectorEnv, {num_envs}", yardstick, "steps/s", None)]
     for substeps in (1, 10):
@@ -93,6 +94,13 @@ def vector(num_envs: int = 16384) -> list[Row]:
     rate = median_rate(steps(SyncVectorEnv([lambda: gym.make(ID)] * 64)))
     rows.append(("SyncVectorEnv, 64", rate, "steps/s", rate / yardstick))
     return rows
+
+
+def mfc(env: gym.Env[Any, Any], **options: Any) -> LyapunovRedesign:
+    """The reference policy with these options."""
+    controller = registry.make("mfc", env, **options)
+    assert isinstance(controller, LyapunovRedesign)
+    return controller
 
 
 @contextmanager
@@ -110,7 +118,7 @@ def rollouts(episodes: int = 1000) -> list[Row]:
     """Time per control step of whole compiled episodes on one core, beside the same closed loop written in C."""
     env = gym.make(ID, scenario="paper")
     plain: Any = env.unwrapped
-    simulation, controller = plain.simulation, registry.make("mfc", env)
+    simulation, controller = plain.simulation, mfc(env)
     run = rollout_kernel.load(simulation.kernel, controller).run
     first, _ = env.reset(seed=0)
     observations = np.empty((episodes, simulation.steps + 1, first.size))
@@ -173,8 +181,7 @@ def c_loop(controller: Any, simulation: Any) -> tuple[float, float] | None:
 def exact() -> list[Row]:
     """The event-driven solution beside solve_ivp (RK45, its defaults) on the paper's law with the plain sgn."""
     env = gym.make(ID)
-    options = {"design": "paper", "gain": "paper", "initial_model_state": (0.5, 0.0, 0.0)}
-    controller: Any = registry.make("mfc", env, **options)
+    controller = mfc(env, design="paper", gain="paper", initial_model_state=(0.5, 0.0, 0.0))
     c, k, k_tilde = lyapunov.surface(controller.P), controller.k, controller.k_tilde
 
     def rhs(t: float, q: np.ndarray) -> np.ndarray:

@@ -90,7 +90,7 @@ def designs(env: gym.Env[Any, Any]) -> list[tuple[str, str]]:
 
 def main(args: Arguments) -> None:
     """Print the description. Raises ValueError for a plant that breaks an assumption."""
-    options = {} if args.order is None else {"order": args.order}
+    options: dict[str, Any] = {} if args.order is None else {"order": args.order}
     if args.system.endswith(".toml"):
         env = gym.make("mfc_gym/Plant-v0", system=args.system, **options)
     else:
