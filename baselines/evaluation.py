@@ -1,9 +1,7 @@
 """Policies compared on the same episodes: policy specifications, paired seeds, metrics, results on disk."""
 
 import csv
-import json
 import math
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,12 +14,14 @@ import numpy as np
 
 from baselines import registry
 from baselines.exact_metrics import total_variation
+from baselines.files import replace
 from baselines.filippov import filippov
 from baselines.metrics import METRICS, evaluate
 from baselines.redesign import LyapunovRedesign
 from baselines.rollout import rollout
 from baselines.trajectory import Trajectory
 
+ALGORITHMS = ("ppo", "sac", "td3", "tqc", "crossq")
 EXTRA = {"variation_ratio": "1", "step_time": "us"}  # metrics that need more than the trajectory
 
 
@@ -45,11 +45,13 @@ class Result:
 
 
 def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
-    """The policy named `controller` or `controller:option=value,...`, made for `env`.
+    """The policy of a specification: `controller`, `controller:option=value,...`, or `algorithm:folder` for a trained agent.
 
-    Raises ValueError with the known names, or for options the controller does not take.
+    Raises ValueError with the known names, for options the controller does not take, or an agent file that is not sound.
     """
     name, _, rest = specification.partition(":")
+    if name in ALGORITHMS:
+        return _agent(specification, name, rest, env)
     options: dict[str, Any] = {}
     for item in filter(None, _split(rest)):
         key, equals, value = item.partition("=")
@@ -58,6 +60,18 @@ def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
         options[key] = _value(value)
     controller = registry.make(name, env, **options)
     return Entry(specification, controller, controller.reads, options)
+
+
+def _agent(specification: str, algorithm: str, folder: str, env: gym.Env[Any, Any]) -> Entry:
+    """A trained agent from its files, which run no code."""
+    from baselines.agent_files import load_agent
+
+    agent, size = load_agent(folder, algorithm), env.observation_space.shape
+    if size != (agent.observation_size,):
+        raise ValueError(
+            f"`controllers`: {specification} was trained on {agent.observation_size} numbers, the environment has {size}."
+        )
+    return Entry(specification, agent, ("state", "output derivatives"), {"environment": dict(agent.environment)})
 
 
 def _split(text: str) -> list[str]:
@@ -155,28 +169,6 @@ def writable(folder: Path) -> Path:
     except OSError as error:
         raise ValueError(f"`out` must be a folder that can be written, got {folder} ({error.strerror}).") from error
     return folder
-
-
-def replace(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file whole or not at all: `write` fills a temporary one, which then takes the name."""
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-    os.close(handle)
-    try:
-        write(Path(name))
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
-
-
-def write_json(path: Path, data: Any) -> None:
-    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-
-    def write(target: Path) -> None:
-        target.write_text(text)
-
-    replace(path, write)
 
 
 def write_csv(path: Path, results: Iterable[Result], seeds: Sequence[int]) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from baselines.evaluation import Result, replace
+from baselines.evaluation import Result
+from baselines.files import replace
 from baselines.filippov import ExactSolution
 
 Array = NDArray[np.float64]

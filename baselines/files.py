@@ -9,7 +9,7 @@ from typing import Any
 
 def replace(path: Path, write: Callable[[Path], object]) -> None:
     """`write` fills a file beside `path`, which reaches the disk and then takes its name; one writer at a time."""
-    new = path.with_name(f".{path.name}.new")  # always the same, so that killed writers leave no more than one
+    new = path.with_name(f".new.{path.name}")  # always the same: killed writers leave no more than one
     try:
         write(new)
         with new.open("rb+") as file:

@@ -284,11 +284,11 @@ def collection(num_envs: int = 64) -> list[Row]:
 
 
 MEASUREMENTS: dict[str, Callable[[], list[Row]]] = {
-    "single environment": single,
-    "vector environment": vector,
-    "batch rollout, one core": rollouts,
-    "exact solution": exact,
-    "cold start": cold_start,
+    "single": single,
+    "vector": vector,
+    "rollout": rollouts,
+    "exact": exact,
+    "start": cold_start,
     "memory": memory,
-    "experience for SB3": collection,
+    "sb3": collection,
 }

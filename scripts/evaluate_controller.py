@@ -20,7 +20,7 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import evaluation, figures, statistics
+from baselines import evaluation, figures, files, statistics
 from baselines.provenance import provenance
 
 COLUMNS = (
@@ -34,7 +34,7 @@ class Arguments:
     """Evaluate controllers on the same episodes."""
 
     controllers: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Names (see baselines.names()), each optionally with options: mfc:switching=sign,design=paper"""
+    """Names (see baselines.names()), optionally with options: mfc:switching=sign,design=paper; agents as algorithm:folder"""
     env: str = "mfc_gym/PerturbedChain-v0"
     """Environment id, or a plant file ending in .toml"""
     scenario: str = "paper"
@@ -53,6 +53,10 @@ class Arguments:
     """Uncertain parameters, fixed in both scenarios"""
     initial_state: tuple[float, ...] | None = None
     """Initial state, fixed in both scenarios"""
+    derivatives: str | None = None
+    """How xi_n is obtained: exact, or by a differentiator on the sampled output (ired, hdd, ired-linear, high-gain, dirty)"""
+    noise: float | None = None
+    """Amplitude of uniform noise on the output (with a differentiator)"""
     episodes: int | None = None
     """Number of episodes; left out: 1 in the fixed scenario, 20 in the random one"""
     seed: int = 0
@@ -65,8 +69,10 @@ class Arguments:
 
 def environment(args: Arguments) -> gym.Env[Any, Any]:
     """The environment the arguments describe."""
-    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order", "theta", "initial_state")
-    options = {name: value for name in names if (value := getattr(args, name)) is not None}
+    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order", "theta", "initial_state", "derivatives")
+    options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
+    if args.noise is not None:
+        options["sensors"] = {"noise": args.noise}
     if args.env.endswith(".toml"):
         return gym.make("mfc_gym/Plant-v0", system=args.env, **options)
     return gym.make(args.env, **options)
@@ -127,7 +133,7 @@ def main(args: Arguments) -> None:
         "provenance": provenance(),
         "results": evaluation.as_data(results),
     }
-    evaluation.write_json(out / "results.json", data)
+    files.write_json(out / "results.json", data)
     evaluation.write_csv(out / "results.csv", results, seeds)
     figures.save(figures.episode(results), out / "episode.png")
     console.print(table(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}"))

@@ -16,7 +16,7 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import evaluation, figures
+from baselines import evaluation, figures, files
 from baselines.exact_metrics import exact_metrics, total_variation
 from baselines.filippov import ExactSolution
 
@@ -127,7 +127,7 @@ def main(args: Arguments) -> None:
     console.print(sampling_table(rows, 1, "max |y - y_exact| in sampled time"))
     console.print(sampling_table(rows, 2, f"Variation of u per second in the tail (exact solution: {variation:.3g})"))
     values = {label: {"switching_times": list(solutions[label].switching_times), **metrics[label]} for label in labels}
-    evaluation.write_json(out / "values.json", {"exact": values, "sampled": rows})
+    files.write_json(out / "values.json", {"exact": values, "sampled": rows})
     console.print(f"Written: {out / 'figure.png'}, {out / 'sampling.png'}, {out / 'values.json'}")
 
 

@@ -25,6 +25,7 @@ from baselines.training import SCALING, VALIDATION, Plan, Training, train  # noq
 from baselines.validation import Evaluation, Row  # noqa: E402
 from scripts import train_rl  # noqa: E402
 
+ROOT = Path(__file__).parents[1]
 ENV, OPTIONS = "mfc_gym/PerturbedChain-v0", {"scenario": "random", "dt": 0.05, "horizon": 3.0}
 
 
@@ -63,16 +64,14 @@ def without_time(curve: list[Row]) -> list[Row]:
     return [{k: v for k, v in row.items() if k != "seconds"} for row in curve]
 
 
-def test_a_short_training_beats_zero_and_random_action(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """And what is on disk is what was evaluated."""
-    monkeypatch.setitem(HYPERPARAMETERS, "ppo", replace(HYPERPARAMETERS["ppo"], segment=16_384))
-    plan = Plan("ppo", ENV, OPTIONS, seed=0, timesteps=65_536, episodes=32)
-    training = train(plan, tmp_path)
-    held_out = Evaluation(ENV, OPTIONS, episodes=64, seed=0)
+def test_a_short_training_beats_zero_and_random_action(tmp_path: Path) -> None:
+    """On the defaults and by far, on episodes it has not seen; and what is on disk is what was evaluated."""
+    options = {"scenario": "random", "dt": 0.02, "horizon": 10.0}
+    training = train(Plan("ppo", ENV, options, seed=0, timesteps=131_072, episodes=32), tmp_path)
+    held_out = Evaluation(ENV, options, episodes=64, seed=0)
     found = held_out(load_agent(tmp_path / "best"))
     for other in (Constant(0.0), Constant(None)):
-        assert found["return"] > 0.5 * held_out(other)["return"]
-    assert held_out.reference["return"] > found["return"]
+        assert found["return"] > 0.3 * held_out(other)["return"]
     assert training.curve[-1]["return"] > training.curve[0]["return"]
 
 
@@ -191,3 +190,11 @@ def test_an_agent_runs_as_any_policy(short: None, tmp_path: Path) -> None:
         alone = baselines.rollout(env, agent, seed=5 + i)
         assert np.abs(alone.control - episode.control).max() < 1e-3  # float32 actions, times the input limit
     assert agent.environment["options"] == OPTIONS
+
+
+def test_the_shipped_agent_does_what_is_said_of_it() -> None:
+    """Median tail RMS of at most 3e-3 and no escape at 50 Hz; the document says 1.7e-3 over 1000 episodes."""
+    agent = load_agent(ROOT / "agents" / "ppo-perturbed-chain", "ppo")
+    found = Evaluation(agent.environment["id"], agent.environment["options"], episodes=200, seed=0)(agent)
+    assert found["escaped"] == 0
+    assert found["tail_rms"] < 3e-3
