@@ -75,17 +75,20 @@ def paper(mfc: ExactSolution, matched_only: ExactSolution) -> Figure:
     return figure
 
 
-def sampling(rows: Mapping[str, Sequence[tuple[float, float, float]]], exact_variation: float) -> Figure:
-    """Per switching law (dt, max error against the exact solution, variation of u per second in the tail) over dt."""
+def sampling(
+    rows: Mapping[str, Sequence[tuple[float, float, float]]], accuracy_label: str, exact_variation: float | None = None
+) -> Figure:
+    """Per law (dt in s, error, variation of u per second in the tail) over dt; dotted: the exact solution's variation."""
     figure = Figure(figsize=(7.5, 3.6), layout="constrained")
     accuracy, variation = figure.subplots(1, 2)
     for i, (label, points) in enumerate(rows.items()):
-        dt, error, rate = (1e3 * np.array([p[0] for p in points]), [p[1] for p in points], [p[2] for p in points])
-        style = "-" if "paper" in label else "--"
-        accuracy.loglog(dt, error, f"C{i % 4}{style}o", label=label, markersize=3, linewidth=1)
-        variation.loglog(dt, rate, f"C{i % 4}{style}o", markersize=3, linewidth=1)
-    variation.axhline(exact_variation, color="k", linewidth=0.8, linestyle=":")
-    accuracy.set_ylabel("max $|y - y_{exact}|$")
+        dt, error, rate = np.array(sorted(points)).T
+        style = ("-", "--", ":")[i // 4 % 3]
+        accuracy.loglog(1e3 * dt, error, f"C{i % 4}{style}o", label=label, markersize=3, linewidth=1)
+        variation.loglog(1e3 * dt, rate, f"C{i % 4}{style}o", markersize=3, linewidth=1)
+    if exact_variation is not None:
+        variation.axhline(exact_variation, color="k", linewidth=0.8, linestyle=":")
+    accuracy.set_ylabel(accuracy_label)
     variation.set_ylabel("variation of $u$ per second, tail")
     for ax in (accuracy, variation):
         ax.set_xlabel("sampling time in ms")

@@ -8,7 +8,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("mfc-gym", "numpy", "scipy", "gymnasium", "numba", "sympy", "stable-baselines3", "torch")
+PACKAGES = (
+    "mfc-gym",
+    "numpy",
+    "scipy",
+    "gymnasium",
+    "numba",
+    "sympy",
+    "stable-baselines3",
+    "sb3-contrib",
+    "torch",
+    "safetensors",
+)
 
 
 def commit() -> str | None:

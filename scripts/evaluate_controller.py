@@ -6,7 +6,7 @@
 """
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -63,8 +63,23 @@ class Arguments:
     """Seed of the first episode; episode i has seed + i, for every controller"""
     exact: int = 3
     """Number of episodes for which the exact solution is computed (for the ratio of the control's variation)"""
+    sweep: tuple[float, ...] = ()
+    """Sampling times in s: also draws tail error and variation of the control over them (sweep.png)"""
     out: Path = Path("results/evaluation")
     """Folder for results and figures"""
+
+
+def sweep(args: Arguments, seeds: range) -> dict[str, list[tuple[float, float, float]]]:
+    """Per controller (dt, median tail RMS, median variation of u per second in the tail)."""
+    rows: dict[str, list[tuple[float, float, float]]] = {}
+    for dt in args.sweep:
+        env = environment(replace(args, dt=dt))
+        for specification in args.controllers:
+            result = evaluation.run(evaluation.entry(specification, env), env, seeds)
+            medians = (np.median(evaluation.column(result, m)) for m in ("tail_rms", "tail_total_variation_rate"))
+            error, variation = (float(m) for m in medians)
+            rows.setdefault(specification, []).append((dt, error, variation))
+    return rows
 
 
 def environment(args: Arguments) -> gym.Env[Any, Any]:
@@ -136,8 +151,10 @@ def main(args: Arguments) -> None:
     files.write_json(out / "results.json", data)
     evaluation.write_csv(out / "results.csv", results, seeds)
     figures.save(figures.episode(results), out / "episode.png")
+    if args.sweep:
+        figures.save(figures.sampling(sweep(args, seeds), "tail RMS of $y - y_d$"), out / "sweep.png")
     console.print(table(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}"))
-    console.print(f"Written: {out / 'results.json'}, {out / 'results.csv'}, {out / 'episode.png'}")
+    console.print(f"Written to {out}: results.json, results.csv, episode.png{', sweep.png' if args.sweep else ''}")
 
 
 def run() -> None:
