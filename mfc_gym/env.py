@@ -98,11 +98,11 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 def scalar_action(action: Any) -> float:
     """The one number of an action of shape (1,). Raises ValueError if it is not a finite number or wrongly shaped."""
     try:
-        array = np.asarray(action)
+        array = action if type(action) is np.ndarray else np.asarray(action)
     except ValueError:  # ragged
         array = np.array(None)
     if array.shape == (1,) and array.dtype.kind in "fiu":
-        value = float(array[0])
+        value = float(array.item())
         if math.isfinite(value):
             return value
     raise ValueError(f"`action` must be one finite number, shape (1,), got {action!r}.")
