@@ -244,6 +244,7 @@ def memory() -> list[Row]:
         run = subprocess.run([sys.executable, "-c", code.format(n, n)], capture_output=True, text=True, check=True)
         return float(run.stdout)
 
+    kilobytes(1)  # compiles, if need be
     base = kilobytes(1)
     more = [(n, max(kilobytes(n) - base, 0.0) * 1024 / n) for n in (1024, 65536)]
     return [

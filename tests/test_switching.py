@@ -75,6 +75,32 @@ def test_stability_region_of_the_observer(rate: float) -> None:
     assert all(radius(p, rate) > 1 for p in outside)
 
 
+@pytest.mark.parametrize("p", [0.02, 0.3, 0.75, 1.0, 1.25, 1.7, 1.98, 2.02, -0.02])
+def test_implicit_law_is_stable_exactly_for_input_gains_below_two(p: float) -> None:
+    """s_next = s + p b v_L with b = 1: the law contracts by abs(1 - p) per step, as the linear analysis says."""
+    s = [1e-6]
+    for _ in range(50):
+        s.append(s[-1] + p * implicit(s[-1], s[-1], 1.0, 0.0, 1.0, 0.0, 0.1))
+    factors = np.array(s[1:]) / np.array(s[:-1]) if p != 1.0 else np.zeros(50)
+    assert np.allclose(np.abs(factors), abs(1 - p), rtol=1e-6)
+    low, high = SWITCHINGS["implicit"].stable(0.0)
+    assert (abs(s[-1]) < abs(s[0])) == (low < p < high)
+
+
+@pytest.mark.parametrize("switching", ["implicit", "implicit-observer"])
+@pytest.mark.parametrize("theta", [-0.8, -0.5, 0.5, 0.8])
+def test_closed_loop_is_stable_for_large_Delta_3(switching: str, theta: float) -> None:
+    """The chain of order 2 with Delta_3 = theta and rho = 0.85, small motions: tail error O(dt), no oscillation of u."""
+    env = gym.make(
+        "mfc_gym/PerturbedChain-v0", order=2, rho=0.85, theta=(theta,), initial_state=(0.1, 0.0), dt=0.01, horizon=10.0,
+        reference_parameters={"amplitude": 0.2, "frequency": 0.5},
+    )  # fmt: skip
+    trajectory = baselines.rollout(env, baselines.make("mfc", env, switching=switching))
+    assert not trajectory.terminated
+    assert np.abs(trajectory.error[500:]).max() < 0.01
+    assert np.abs(np.diff(trajectory.control[500:])).sum() / 5.0 < 1.0
+
+
 def slope(switching: str, design: str, dts: tuple[float, ...]) -> float:
     """Order of max abs(y - y_exact) in dt on the paper's example."""
     errors = []
