@@ -16,7 +16,7 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import provenance
+from baselines import command_line, provenance
 from baselines.exact_metrics import total_variation
 from baselines.speed import MEASUREMENTS
 
@@ -177,11 +177,9 @@ def main(args: Sampled | Speed) -> None:
 
 def run() -> None:
     """The command line."""
-    try:
-        main(tyro.extras.subcommand_cli_from_dict({"sampled": Sampled, "speed": Speed}, description=__doc__))
-    except ValueError as error:
-        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+    command_line.run(
+        main, lambda: tyro.extras.subcommand_cli_from_dict({"sampled": Sampled, "speed": Speed}, description=__doc__)
+    )
 
 
 if __name__ == "__main__":

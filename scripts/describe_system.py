@@ -4,7 +4,6 @@ python scripts/describe_system.py mfc_gym/PerturbedChain-v0
 python scripts/describe_system.py docs/plants/van_der_pol.toml
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -19,7 +18,7 @@ from rich.text import Text
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import lyapunov
+from baselines import command_line, lyapunov
 from mfc_gym.enclosure import check_bounds
 from mfc_gym.flat_system import FlatSystem
 
@@ -108,11 +107,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    try:
-        main(tyro.cli(Arguments, description=__doc__))
-    except (ValueError, gym.error.Error) as error:
-        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
 
 
 if __name__ == "__main__":

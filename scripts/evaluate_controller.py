@@ -5,7 +5,6 @@
         --scenario random --episodes 100 --seed 0 --out results/random
 """
 
-import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import evaluation, figures, files, statistics
+from baselines import command_line, evaluation, figures, files, statistics
 from baselines.provenance import provenance
 
 COLUMNS = (
@@ -159,11 +158,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    try:
-        main(tyro.cli(Arguments, description=__doc__))
-    except (ValueError, gym.error.Error) as error:
-        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 python scripts/reproduce_paper.py --out results/paper
 """
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import evaluation, figures, files
+from baselines import command_line, evaluation, figures, files
 from baselines.exact_metrics import exact_metrics, total_variation
 from baselines.filippov import ExactSolution
 
@@ -133,11 +132,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    try:
-        main(tyro.cli(Arguments, description=__doc__))
-    except ValueError as error:
-        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import gymnasium as gym
 import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 import mfc_gym  # noqa: F401 (registers the environments)
+from baselines import command_line
 from baselines.evaluation import writable
 from baselines.hyperparameters import HYPERPARAMETERS
 
@@ -110,11 +110,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    try:
-        main(tyro.cli(Arguments, description=__doc__))
-    except (ValueError, gym.error.Error) as error:
-        Console(stderr=True, soft_wrap=True).print(f"error: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
 
 
 if __name__ == "__main__":
