@@ -86,15 +86,18 @@ def admissible(rng: np.random.Generator) -> np.ndarray:
 
 def accuracy(console: Console) -> None:
     """The paper's law and the designed surface over dt."""
+    found = {
+        (switching, design): [deviation(gym.make(ID, dt=dt), switching=switching, design=design, **PAPER) for dt in DTS]
+        for design in ("paper", "surface")
+        for switching in ("sign", "implicit", "implicit-observer")
+    }
     for title, index in (("max |y - y_exact|", 0), ("tail RMS of y - y_d", 1), ("variation of u per second, tail", 2)):
         table = Table(title=f"{title}; the paper's plant, initial states and gain")
         table.add_column("switching, P")
         for dt in DTS:
             table.add_column(f"{1e3 * dt:g} ms", justify="right")
-        for design in ("paper", "surface"):
-            for switching in ("sign", "implicit", "implicit-observer"):
-                row = [deviation(gym.make(ID, dt=dt), switching=switching, design=design, **PAPER)[index] for dt in DTS]
-                table.add_row(f"{switching}, {design}", *(f"{value:.2g}" for value in row))
+        for (switching, design), row in found.items():
+            table.add_row(f"{switching}, {design}", *(f"{values[index]:.2g}" for values in row))
         console.print(table)
 
 
