@@ -187,7 +187,8 @@ def redesign(
         raise ValueError(f"`rate` must lie in (0, 1], got {rate}.")
     if reach_time is None:
         exact = nominal.derivatives == "exact" or feedback == "state"
-        reach_time = 0.0 if exact else max(2.0 * nominal.dt, 0.2 / nominal.process_pole)
+        slow = 1.2 if nominal.noise else 0.2
+        reach_time = 0.0 if exact else max(2.0 * nominal.dt, slow / nominal.process_pole)
     if not (math.isfinite(reach_time) and reach_time >= 0):
         raise ValueError(f"`reach_time` must be finite and >= 0, got {reach_time}.")
     return LyapunovRedesign(

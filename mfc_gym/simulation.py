@@ -79,9 +79,9 @@ class Simulation:
         self.sensors, tuning = _measurement(given)
         self.kernel = stepping.load(self.plant, self.reference, given.cost, self.sensors, given.derivatives)
         self.low, self.high = self.plant.region(self.input_limit)
-        self.nominal = NominalModel(
-            self.plant.nominal, self.dt, self.input_limit, task.model_pole, task.process_pole, given.derivatives
-        )
+        noise = 0.0 if self.sensors is None else self.sensors.noise
+        poles = (task.model_pole, task.process_pole)
+        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, *poles, given.derivatives, noise)
         p = len(self.plant.theta)
         low, high = self.plant.theta_set
         middle = tuple((low + high) / 2) if task.theta is None else task.theta

@@ -131,16 +131,17 @@ def test_the_loop_survives_a_wrong_initial_estimate(derivatives: str) -> None:
 @pytest.mark.parametrize("derivatives", ["ired", "hdd", "ired-linear", "high-gain"])
 @pytest.mark.parametrize("dt", [0.001, 0.01])
 def test_the_reference_policy_with_noise_neither_diverges_nor_chatters(derivatives: str, dt: float) -> None:
-    """Uniform noise of 1e-4 on y: no escape, tail within 5 % of the reference, and far less variation than the explicit sign
-    with the paper's gain, whose control changes by 2 Gamma at almost every sample."""
+    """Uniform noise of 1e-4 on y: no escape, tail within 5 % of the reference, and half the variation, at most, that the
+    paper's law with the explicit sign has without any noise."""
     env = gym.make(ID, derivatives=derivatives, sensors={"noise": 1e-4}, dt=dt)
     own = baselines.rollout(env, baselines.make("mfc", env))
-    sign = baselines.rollout(env, baselines.make("mfc", env, switching="sign", gain="paper"))
     half = own.control.size // 2
     assert not own.terminated
     assert np.abs(own.error[half:]).max() < 0.05
-    variation = [np.abs(np.diff(t.control[-half:])).sum() for t in (own, sign)]
-    assert sign.terminated or variation[0] < variation[1]
+    ideal = gym.make(ID, dt=dt)
+    sign = baselines.rollout(ideal, baselines.make("mfc", ideal, design="paper", gain="paper", switching="sign"))
+    variation = [np.abs(np.diff(t.control[half:])).sum() for t in (own, sign)]
+    assert variation[0] < 0.5 * variation[1]
 
 
 @pytest.mark.parametrize(
