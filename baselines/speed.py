@@ -235,9 +235,10 @@ def memory() -> list[Row]:
     """Resident memory per environment beyond the first, in fresh processes, after one step."""
     code = (
         "import resource, gymnasium as gym, mfc_gym, numpy as np\n"
+        "from pathlib import Path\n"
         f"envs = gym.make_vec('{ID}', num_envs={{}}, vectorization_mode='vector_entry_point')\n"
         "envs.reset(seed=0)\nenvs.step(np.zeros(({}, 1)))\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        "print(int(Path('/proc/self/statm').read_text().split()[1]) * resource.getpagesize() / 1024)"
     )
 
     def kilobytes(n: int) -> float:
