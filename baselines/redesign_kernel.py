@@ -60,7 +60,7 @@ import numpy as np
 from numba import njit
 
 from baselines.gains import {gain} as gain
-from baselines.model_loop import apply, hermite_coefficients, interpolate
+from baselines.model_loop import hermite_coefficients, interpolate
 from baselines.switching import best_rate, clip
 from baselines.switching import {switching} as switching
 from {nominal} import bounds as nominal_bounds
