@@ -125,7 +125,7 @@ class Reference:
         return np.array([float(given.get(name, default)) for name, default in self.defaults.items()])
 
     def scaled(self, scale: float, offset: float, rate: float) -> "Reference":
-        """The family in a plant's units: defaults and sets with 1 standing for `scale` about `offset` in y, and for `rate` in 1/s."""
+        """The family in a plant's units: 1 stands for `scale` about `offset` in y, and for `rate` in 1/s."""
 
         def own(name: str, value: float) -> float:
             return UNITS[name.rstrip("0123456789")](value, scale, offset, rate)
