@@ -94,11 +94,9 @@ def first_observation(row, settings):
 
 
 @njit(cache=True, nogil=True)
-def advance_one(row, action, settings):
-    """The scalar environment's step: (observation, reward, terminated, truncated)."""
-    observation = np.empty({size})
-    gain, terminated, truncated = advance(row, action, settings, observation)
-    return observation, gain, terminated, truncated
+def advance_one(row, action, settings, observation):
+    """The scalar environment's step, that is `advance`."""
+    return advance(row, action, settings, observation)
 
 
 @njit(error_model="numpy")
