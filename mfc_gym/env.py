@@ -8,6 +8,7 @@ import numpy as np
 from numpy import empty
 from numpy.typing import NDArray
 
+from mfc_gym import observation as layout
 from mfc_gym import rendering
 from mfc_gym.simulation import Simulation
 from mfc_gym.streams import OneStream
@@ -33,7 +34,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         self.render_mode = render_mode
         self.action_space = self.simulation.action_space  # type: ignore[assignment]
         self.observation_space = self.simulation.observation_space  # type: ignore[assignment]
-        (self._size,) = self.observation_space.shape
+        self._size = layout.size(self.simulation.plant.order)
         self._row: Array | None = None
         self._recorder = rendering.Recorder(self.simulation) if render_mode else None
 
