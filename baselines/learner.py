@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import torch
 from sb3_contrib import TQC, CrossQ
-from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.noise import NormalActionNoise
 
 from baselines.agents import make_vec_env
+from baselines.collection import PPO
 from baselines.hyperparameters import Hyperparameters
 from baselines.policy_network import Features
 from baselines.training_env import TrainingEnv

@@ -1,14 +1,15 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import driving, observation, plant, references, sensors, stepping
+from mfc_gym import driving, kernels, observation, plant, references, sensors, stepping
 from mfc_gym.actuator import Actuator
 from mfc_gym.checks import mapping, one_of, positive, vector
 from mfc_gym.differentiators import DIFFERENTIATORS
@@ -155,6 +156,11 @@ class Simulation:
     def __reduce__(self) -> tuple[Any, ...]:
         return Simulation, self._made_from
 
+    @cached_property
+    def advance_one(self) -> Callable[[Array, float, Array, Array], tuple[float, bool, bool]]:
+        """`advance_one` of the kernel, without the dispatch by type."""
+        return kernels.entry(self.kernel.advance_one, "(float64[::1], float64, float64[::1], float64[::1])")
+
     def tabulated(self) -> tuple[Array, Array]:
         """The reference parameters of the paper scenario, (r,), and their reference at the samples 0, 1, ..., (N, n+1)."""
         parameters = self.row_reference(self._start).copy()
@@ -213,7 +219,7 @@ class Simulation:
         options = mapping("options", options)
         if unknown := set(options) - set(RESET_OPTIONS):
             raise ValueError(f"`options` must be among {RESET_OPTIONS}, got {sorted(map(str, unknown))}.")
-        given = self._given(options, chosen, num_envs)
+        given = self._given(options, chosen, num_envs) if options else []
         rows = np.empty((len(chosen), self._start.size))
         rows[:] = self._start
         if self._drawn is not None:

@@ -98,11 +98,9 @@ def first_observation(row, settings):
 
 
 @njit(cache=True, nogil=True)
-def advance_one(row, action, settings):
-    """The scalar environment's step: (observation, reward, terminated, truncated)."""
-    observation = np.empty({size})
-    gain, terminated, truncated = advance(row, action, settings, observation)
-    return observation, gain, terminated, truncated
+def advance_one(row, action, settings, observation):
+    """The scalar environment's step, that is `advance`."""
+    return advance(row, action, settings, observation)
 
 
 {advance_all}
@@ -139,11 +137,15 @@ def advance_all(
         for j in range(count):
             i = np.uintp(first + j)
             {block_arguments} = {start_of_columns}
+        for j in range(count):
+            i = np.uintp(first + j)
             inside[j] = active[i]
             columns[{clock}, i] += 1.0 if active[i] else 0.0
         for j in range(count):
             i = np.uintp(first + j)
             u[j] = saturated(actions[i], settings)
+        for j in range(count):
+            i = np.uintp(first + j)
             tabulated = tabulated & {same_reference} & (columns[{clock}, i] < table.shape[0])
         integrate_block(x, theta, u, inside, count, settings)
         for j in range(count):
