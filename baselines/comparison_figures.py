@@ -1,14 +1,19 @@
 """Figures of a comparison, from its data: policies by colour and marker, both safe for the colour-blind."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
+import matplotlib
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from baselines import figures
 from baselines.comparison_text import by_label
 from baselines.comparison_text import number as shown
+from baselines.evaluation import Result
 
 Data = dict[str, Any]
 
@@ -24,7 +29,7 @@ def plain(label: str) -> str:
     return f" {short}" if short.startswith("_") else short
 
 
-def intervals(data: Data, metric: str, part: Callable[[Data], Data | None], label: str, log: bool) -> Figure:
+def intervals(data: Data, part: Callable[[Data], Data | None], label: str, log: bool) -> Figure:
     """One row for each shift, one point with its interval for each policy; `part` finds the estimate."""
     count = len(data["shifts"])
     figure, ax = _axes(6.2, 1.3 + 0.42 * count)
@@ -47,7 +52,7 @@ def intervals(data: Data, metric: str, part: Callable[[Data], Data | None], labe
 
 def tail(data: Data) -> Figure:
     """Median tail RMS of every policy under every shift."""
-    return intervals(data, "tail_rms", lambda p: p["metrics"]["tail_rms"]["median"], "median tail RMS of y - y_d", True)
+    return intervals(data, lambda p: p["metrics"]["tail_rms"]["median"], "median tail RMS of y - y_d", True)
 
 
 def improvement(data: Data) -> Figure:
@@ -57,7 +62,7 @@ def improvement(data: Data) -> Figure:
         return policy["against"] and policy["against"]["tail_rms"]["improvement"]
 
     label = f"probability of a smaller tail error than {plain(data['reference'])}"
-    figure = intervals(data, "tail_rms", part, label, False)
+    figure = intervals(data, part, label, False)
     (ax,) = figure.axes
     ax.axvline(0.5, color=INK, linewidth=0.8, linestyle=":")
     ax.set_xlim(-0.03, 1.03)
@@ -71,19 +76,19 @@ def profiles(data: Data) -> Figure:
     figure = Figure(figsize=(2.9 * columns + 0.3, 2.1 * rows + 0.6), layout="constrained")
     panels = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
     for ax, shift in zip(panels, data["shifts"], strict=False):
-        _ink(ax)
+        ax.grid(alpha=0.25)
         for k, policy in enumerate(shift["policies"]):
             found, colour = policy["profile"], COLOURS[k % len(COLOURS)]
             ax.fill_between(shift["tau"], found["low"], found["high"], color=colour, alpha=0.25, linewidth=0)
             name = plain(policy["label"]) if ax is panels[0] else None
             ax.semilogx(shift["tau"], found["value"], colour, linestyle=_line(k), linewidth=1.4, label=name)
-        ax.set_title(shift["title"], fontsize="small", color=INK)
+        ax.set_title(shift["title"], fontsize="small")
         ax.set_ylim(0, 1.02)
     for ax in panels[len(data["shifts"]) :]:
         ax.set_axis_off()
-    figure.supxlabel("tail RMS of y - y_d", fontsize="medium", color=INK)
-    figure.supylabel("fraction of the episodes below", fontsize="medium", color=INK)
-    figure.legend(loc="outside upper left", ncols=4, frameon=False, labelcolor=INK)
+    figure.supxlabel("tail RMS of y - y_d", fontsize="medium")
+    figure.supylabel("fraction of the episodes below", fontsize="medium")
+    figure.legend(loc="outside upper left", ncols=4, frameon=False)
     return figure
 
 
@@ -106,27 +111,43 @@ def learning(data: Data) -> Figure:
     ax.set_yscale("log")
     ax.set_xlabel("million timesteps")
     ax.set_ylabel("median tail RMS")
-    ax.legend(frameon=False, labelcolor=INK)
+    ax.legend(frameon=False)
+    return figure
+
+
+def episode(results: Sequence[Result]) -> Figure:
+    """One episode of every policy, in the policies' own colours."""
+    with matplotlib.rc_context({"axes.prop_cycle": cycler(color=COLOURS)}):
+        named = [replace(one, entry=replace(one.entry, label=plain(one.entry.label))) for one in results]
+        return figures.episode(named)
+
+
+def ink(figure: Figure) -> Figure:
+    """The same figure with text, axes and black lines in `INK`."""
+    legends = [*figure.legends, *(ax.get_legend() for ax in figure.axes if ax.get_legend())]
+    texts = [text for legend in legends for text in legend.get_texts()]
+    for ax in figure.axes:
+        ax.tick_params(colors=INK, which="both", labelsize="small")
+        ax.spines[["top", "right"]].set_visible(False)
+        for spine in ax.spines.values():
+            spine.set_color(INK)
+        for line in ax.lines:
+            if line.get_color() == "k":
+                line.set_color(INK)
+        texts += [ax.title, ax.xaxis.label, ax.yaxis.label]
+    for legend in legends:
+        legend.get_frame().set_visible(False)
+    for text in [*texts, *figure.texts]:
+        text.set_color(INK)
     return figure
 
 
 def _axes(width: float, height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, height), layout="constrained")
     ax = figure.subplots()
-    _ink(ax)
-    return figure, ax
-
-
-def _ink(ax: Axes) -> None:
     ax.grid(alpha=0.25)
     ax.set_axisbelow(True)
-    ax.tick_params(colors=INK, which="both", labelsize="small")
-    for spine in ax.spines.values():
-        spine.set_color(INK)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    ax.xaxis.label.set_color(INK)
-    ax.yaxis.label.set_color(INK)
+    return figure, ax
 
 
 def _line(k: int) -> str:

@@ -14,8 +14,15 @@ METRICS = {
     "return": "return",
     "tail_total_variation_rate": "variation of u per second, tail",
 }
-SAME = 1.05  # ratio of medians below which two policies count as equal
-VERDICTS = {"better": "▲", "worse": "▼", "same": "≈"}
+STATISTICS = {
+    "median": "median",
+    "iqm": "interquartile mean",
+    "mean": "mean",
+    "cvar": "mean of the worst tenth",
+    "worst": "worst",
+}
+EVEN = 1.05  # ratio of medians below which two policies count as equal
+VERDICTS = {"better": "▲", "worse": "▼", "even": "≈"}
 
 
 def number(value: float | None, infinite: str = "∞") -> str:
@@ -39,17 +46,24 @@ def worst(metric: str) -> str:
 
 
 def verdict(against: Data | None, metric: str) -> str | None:
-    """better, worse or same than the reference policy on the same episodes; None for the reference policy itself.
+    """better, worse or even, beside the reference policy on the same episodes; None for the reference policy itself.
 
-    Better: the 95 % interval of the probability of improvement lies above 1/2, and the ratio differs by 5 % or more.
+    Costs: whether the interval of the probability of improvement excludes 1/2, and the median ratio is off 1 by 5 % or more.
+    The return: whether the interval of the mean difference excludes 0, so that rare disasters count.
     """
     if against is None:
         return None
-    found, p = against[metric], against[metric]["improvement"]
+    found = against[metric]
+    if metric == "return":
+        return _side(found["difference"], 0.0)
     ratio = found["ratio"]["value"] if "ratio" in found else None
-    if "ratio" in found and ratio is not None and 1 / SAME < ratio < SAME:
-        return "same"
-    return "better" if p["low"] > 0.5 else "worse" if p["high"] < 0.5 else "same"
+    even = ratio is not None and 1 / EVEN < ratio < EVEN
+    return "even" if even else _side(found["improvement"], 0.5)
+
+
+def _side(estimate: Data, middle: float) -> str:
+    low, high = estimate["low"], estimate["high"]
+    return "better" if low is not None and low > middle else "worse" if high is not None and high < middle else "even"
 
 
 def mark(against: Data | None, metric: str) -> str:
@@ -57,7 +71,7 @@ def mark(against: Data | None, metric: str) -> str:
     found = verdict(against, metric)
     if against is None or found is None:
         return ""
-    if found == "same" or "ratio" not in against[metric]:
+    if found == "even" or "ratio" not in against[metric]:
         return f"{VERDICTS[found]} {found}"
     ratio = against[metric]["ratio"]["value"]
     factor = None if ratio is None or ratio == 0 else max(ratio, 1 / ratio)
@@ -74,12 +88,33 @@ def in_distribution(data: Data) -> Data:
     return next(shift for shift in data["shifts"] if shift["name"] == IN_DISTRIBUTION)
 
 
+def best(values: list[float | None], metric: str) -> int | None:
+    """Which one is alone the best; None: none is."""
+    sign = -1.0 if metric == "return" else 1.0
+    keys = [float("inf") if value is None else sign * value for value in values]
+    least = min(keys)
+    return keys.index(least) if least < float("inf") and keys.count(least) == 1 else None
+
+
+def title(data: Data) -> str:
+    """The answer in one line."""
+    here = in_distribution(data)["policies"]
+    tail = best([policy["metrics"]["tail_rms"]["median"]["value"] for policy in here], "tail_rms")
+    gain = best([policy["metrics"]["return"]["mean"]["value"] for policy in here], "return")
+    if tail is None or gain is None:
+        return "No policy is alone the best"
+    if tail == gain:
+        return f"{here[tail]['label']} is the most accurate and has the best return"
+    return f"{here[tail]['label']} is the most accurate in the tail, {here[gain]['label']} has the best return"
+
+
 def headline(data: Data) -> list[str]:
     """The answer in a few sentences."""
     reference, here = data["reference"], by_label(in_distribution(data))
     error = {label: p["metrics"]["tail_rms"]["median"]["value"] for label, p in here.items()}
-    best = min(error, key=lambda label: float("inf") if error[label] is None else error[label])
-    sentences = [f"In distribution {best} is the most accurate in the tail: median RMS {number(error[best])}."]
+    tail = best(list(error.values()), "tail_rms")
+    first = None if tail is None else list(error)[tail]
+    sentences = [f"In distribution {first} is the most accurate in the tail: median RMS {number(error[first])}."] if first else []
     for label, policy in here.items():
         if label != reference:
             sentences.append(_beside(label, policy, here[reference], data))
@@ -88,8 +123,8 @@ def headline(data: Data) -> list[str]:
 
 def _beside(label: str, policy: Data, reference: Data, data: Data) -> str:
     """One policy beside the reference policy."""
-    words = {"better": "a better", "worse": "a worse", "same": "the same"}
-    found = {m: verdict(policy["against"], m) or "same" for m in ("tail_rms", "return")}
+    words = {"better": "a better", "worse": "a worse", "even": "about the same"}
+    found = {m: verdict(policy["against"], m) or "even" for m in ("tail_rms", "return")}
     tail, p = policy["metrics"]["tail_rms"]["median"], policy["against"]["tail_rms"]["improvement"]
     gain = [policy["metrics"]["return"]["mean"], reference["metrics"]["return"]["mean"]]
     text = (
@@ -105,7 +140,7 @@ def _beside(label: str, policy: Data, reference: Data, data: Data) -> str:
     episodes = sum(one["metrics"]["escaped"]["episodes"] for one in shifts)
     return (
         f"{text} Under {len(shifts)} shifts its tail error is smaller in {counts['better']}, larger in "
-        f"{counts['worse']}, the same in {counts['same']}; it left the operating region in {left} of {episodes} episodes."
+        f"{counts['worse']}, about the same in {counts['even']}; it left the operating region in {left} of {episodes} episodes."
     )
 
 
@@ -127,7 +162,7 @@ def markdown(data: Data) -> str:
 
 LEGEND = (
     "Brackets: 95 % bootstrap interval over trainings and episodes. ▲ better, ▼ worse than the reference policy on the same "
-    "episodes, by the median factor; ≈ no difference. An episode that leaves the operating region has an infinite cost: "
+    "episodes, by the median factor; ≈ within 5 % or not distinguishable. An episode that leaves the operating region has an infinite cost: "
     "∞ means that too many did."
 )
 
@@ -159,10 +194,8 @@ def _with_runs(policy: Data) -> str:
 
 def _bold(shown: list[str], values: list[float | None], metric: str) -> list[str]:
     """The best one bold."""
-    sign = -1.0 if metric == "return" else 1.0
-    keys = [float("inf") if value is None else sign * value for value in values]
-    best = min(keys)
-    return [f"**{s}**" if k == best < float("inf") and keys.count(best) == 1 else s for s, k in zip(shown, keys, strict=True)]
+    chosen = best(values, metric)
+    return [f"**{one}**" if k == chosen else one for k, one in enumerate(shown)]
 
 
 def _shift_cell(policy: Data, metric: str) -> str:
