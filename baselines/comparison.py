@@ -62,7 +62,7 @@ class Setting:
         self.env, self.shift = env, shift
         self.options = shift.options(keywords, base.unwrapped.simulation)
         self.scalar: Any = gym.make(env, **self.options)
-        self.simulation: Simulation = self.scalar.unwrapped.simulation
+        self.simulation: Simulation = self.scalar.unwrapped.simulation  # type: ignore[attr-defined]
         self._vector: dict[int, Any] = {}
 
     def play(self, policy: Any, seeds: range) -> Iterator[Trajectory]:

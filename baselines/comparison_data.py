@@ -79,15 +79,18 @@ def _described(policy: Policy, contest: Contest) -> Data:
         "reads": list(entries[0].reads),
         "runs": len(entries),
         "trained": bool(trained),
+        "trainings": [_origin(entry) for entry in entries] if trained else [],
         "notes": [],
     }
     task = _comparable(contest.environment)
     if any(_comparable(one) != task for one in trained):
         found["notes"].append("trained on another task than the one that is called in distribution here")
     if trained and len(trained) < SEEDS:
-        found["notes"].append(f"trainings: {len(trained)}; an interval over fewer than {SEEDS} says little about others")
-    seeds = [_training(entry).get("seed") for entry in entries] if trained else []
-    if len({repr(seed) for seed in seeds}) < len(seeds):
+        found["notes"].append(
+            f"trainings: {len(trained)}; an interval over fewer than {SEEDS} says little about others"
+        )
+    seeds = [one["seed"] for one in found["trainings"] if one["seed"] is not None]
+    if len(set(seeds)) < len(seeds):
         found["notes"].append("some trainings have the same seed")
     return found
 
@@ -100,6 +103,12 @@ def _comparable(environment: Mapping[str, Any]) -> Data:
 def _training(entry: Any) -> Mapping[str, Any]:
     found = getattr(entry.policy, "training", {})
     return found if isinstance(found, Mapping) else {}
+
+
+def _origin(entry: Any) -> Data:
+    """Seed and timesteps of a training, as its file says."""
+    given = _training(entry)
+    return {k: given[k] if type(given.get(k)) is int else None for k in ("seed", "timesteps")}
 
 
 def _scores(contest: Contest, bootstrap: Bootstrap) -> Data | None:

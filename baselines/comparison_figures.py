@@ -95,20 +95,21 @@ def profiles(data: Data) -> Figure:
 def learning(data: Data) -> Figure:
     """Median tail RMS over timesteps, interquartile mean over the trainings; dashed: the reference policy."""
     figure, ax = _axes(6.2, 3.4)
-    labels = [policy["label"] for policy in data["policies"]]
+    labels, highest = [policy["label"] for policy in data["policies"]], 1e-12
     for one in data["learning"]["curves"]:
         k = labels.index(one["label"])
         colour = COLOURS[k % len(COLOURS)]
         low, value, high = (np.array([np.nan if v is None else v for v in one[p]]) for p in ("low", "value", "high"))
+        highest = max([highest, *value[np.isfinite(value)]])
         steps, top = np.array(one["timesteps"]) / 1e6, np.where(np.isnan(high), 1e3, high)
         ax.fill_between(steps, low, top, color=colour, alpha=0.25, linewidth=0)
         name = f"{plain(one['label'])}, {one['trainings']} training{'s' if one['trainings'] > 1 else ''}"
-        ax.semilogy(steps, value, colour, marker=MARKERS[k % len(MARKERS)], markersize=3, linewidth=1.4, label=name)
-        ax.set_ylim(top=2 * np.nanmax(value) if np.isfinite(value).any() else None)
+        ax.plot(steps, value, colour, marker=MARKERS[k % len(MARKERS)], markersize=3, linewidth=1.4, label=name)
     level = data["learning"]["level"]
     if level is not None:
         ax.axhline(level, color=INK, linestyle="--", linewidth=1, label=f"{plain(data['reference'])}: {shown(level)}")
     ax.set_yscale("log")
+    ax.set_ylim(top=2 * highest)
     ax.set_xlabel("million timesteps")
     ax.set_ylabel("median tail RMS")
     ax.legend(frameon=False)
@@ -124,7 +125,7 @@ def episode(results: Sequence[Result]) -> Figure:
 
 def ink(figure: Figure) -> Figure:
     """The same figure with text, axes and black lines in `INK`."""
-    legends = [*figure.legends, *(ax.get_legend() for ax in figure.axes if ax.get_legend())]
+    legends = [*figure.legends, *filter(None, (ax.get_legend() for ax in figure.axes))]
     texts = [text for legend in legends for text in legend.get_texts()]
     for ax in figure.axes:
         ax.tick_params(colors=INK, which="both", labelsize="small")

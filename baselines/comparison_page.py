@@ -8,8 +8,8 @@ from typing import Any
 
 import matplotlib
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from baselines import comparison_text as text
 from baselines.comparison_figures import COLOURS, INK
@@ -30,6 +30,7 @@ class Picture:
     title: str
     caption: str
     figure: Figure
+    wide: bool = False
 
     @property
     def source(self) -> Markup:
@@ -51,15 +52,16 @@ def page(data: Data, pictures: list[Picture]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    labels = [policy["label"] for policy in data["policies"]]
+    every = _statistics(data)
     return environment.get_template(TEMPLATE).render(
         data=data,
         title=text.title(data),
-        headline=text.headline(data)[1:],
+        headline=text.headline(data),
         cards=_cards(data),
-        labels=labels,
+        columns=len(data["policies"]),
         facts=_facts(data),
-        first=_first(data),
+        first=[row for row in every if row["metric"] == text.METRICS["tail_rms"] or row["main"]],
+        rest=[row for row in every if row["metric"] != text.METRICS["tail_rms"]],
         tables=[_table(data, metric, title) for metric, title in text.METRICS.items()],
         pictures=pictures,
         legend=text.LEGEND,
@@ -79,10 +81,15 @@ def _cards(data: Data) -> list[Data]:
             "tail": _cell(here[policy["label"]], "tail_rms"),
             "return": _cell(here[policy["label"]], "return"),
             "escaped": here[policy["label"]]["metrics"]["escaped"],
-            "score": text.number(scores[policy["label"]]["value"], "-∞") if policy["label"] in scores else None,
+            "score": _score(scores.get(policy["label"])),
         }
         for k, policy in enumerate(data["policies"])
     ]
+
+
+def _score(estimate: Data | None) -> str | None:
+    """Three decimals: next to the zero input all that work are close to 1."""
+    return None if estimate is None else "-∞" if estimate["value"] is None else f"{estimate['value']:.3f}"
 
 
 def _facts(data: Data) -> list[tuple[str, str]]:
@@ -100,24 +107,26 @@ def _facts(data: Data) -> list[tuple[str, str]]:
     ]
 
 
-def _first(data: Data) -> list[Data]:
-    """Rows of the table in distribution: every statistic of every metric."""
+def _statistics(data: Data) -> list[Data]:
+    """In distribution every statistic of every metric, one row each."""
     here = in_distribution(data)["policies"]
     rows = []
     for metric, name in text.METRICS.items():
         for statistic, words in text.STATISTICS.items():
             values = [policy["metrics"][metric][statistic] for policy in here]
             estimates = [value if isinstance(value, dict) else {"value": value} for value in values]
-            best = text.best([one["value"] for one in estimates], metric)
+            best = text.best(estimates, metric)
             cells = [
                 {
                     "value": text.number(one["value"], text.worst(metric)),
                     "interval": text.interval(one) if "low" in one else "",
-                    "best": k == best,
+                    "best": k in best,
                 }
                 for k, one in enumerate(estimates)
             ]
-            rows.append({"metric": name, "unit": data["units"][metric], "statistic": words, "cells": cells})
+            main = statistic == text.MAIN[metric]
+            unit = data["units"][metric]
+            rows.append({"metric": name, "unit": unit, "statistic": words, "cells": cells, "main": main})
     return rows
 
 
@@ -127,12 +136,17 @@ def _table(data: Data, metric: str, title: str) -> Data:
         {"title": shift["title"], "cells": [_cell(policy, metric) for policy in shift["policies"]]}
         for shift in data["shifts"]
     ]
-    statistic = "mean" if metric == "return" else "median"
-    return {"title": title, "statistic": statistic, "open": metric in OPEN, "rows": rows, "unit": data["units"][metric]}
+    return {
+        "title": title,
+        "statistic": text.MAIN[metric],
+        "open": metric in OPEN,
+        "rows": rows,
+        "unit": data["units"][metric],
+    }
 
 
 def _cell(policy: Data, metric: str) -> Data:
-    estimate = policy["metrics"][metric]["mean" if metric == "return" else "median"]
+    estimate = policy["metrics"][metric][text.MAIN[metric]]
     return {
         "value": text.number(estimate["value"], text.worst(metric)),
         "interval": text.interval(estimate),

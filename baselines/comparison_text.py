@@ -1,6 +1,7 @@
 """A comparison in words and as Markdown, from its data."""
 
 import html
+import math
 import re
 from typing import Any
 
@@ -21,16 +22,17 @@ STATISTICS = {
     "cvar": "mean of the worst tenth",
     "worst": "worst",
 }
+MAIN = {"tail_rms": "median", "transient_iae": "median", "return": "mean", "tail_total_variation_rate": "median"}
 EVEN = 1.05  # ratio of medians below which two policies count as equal
 VERDICTS = {"better": "▲", "worse": "▼", "even": "≈"}
 
 
 def number(value: float | None, infinite: str = "∞") -> str:
-    """Three digits at most, 1.7e-3 rather than 0.0017; None is infinite."""
+    """Two digits, 1.7e-3 rather than 0.0017; None is infinite."""
     if value is None:
         return infinite
     if value == 0 or 0.01 <= abs(value) < 1000:
-        return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
+        return f"{value:#.2g}".rstrip(".") if abs(value) < 99.5 else f"{value:.0f}"
     mantissa, exponent = f"{value:.1e}".split("e")
     return f"{mantissa}e{int(exponent)}"
 
@@ -88,37 +90,50 @@ def in_distribution(data: Data) -> Data:
     return next(shift for shift in data["shifts"] if shift["name"] == IN_DISTRIBUTION)
 
 
-def best(values: list[float | None], metric: str) -> int | None:
-    """Which one is alone the best; None: none is."""
+def best(estimates: list[Data], metric: str) -> set[int]:
+    """The best ones: the best value, and those whose intervals overlap its interval; none if that holds for all."""
     sign = -1.0 if metric == "return" else 1.0
-    keys = [float("inf") if value is None else sign * value for value in values]
-    least = min(keys)
-    return keys.index(least) if least < float("inf") and keys.count(least) == 1 else None
+    costs = [_infinite(one["value"], sign) for one in estimates]
+    least = costs.index(min(costs))
+    if costs[least] == math.inf:
+        return set()
+    ends = ("low", "high") if sign > 0 else ("high", "low")
+    low, high = ([_infinite(one.get(end, one["value"]), sign) for one in estimates] for end in ends)
+    found = {k for k in range(len(costs)) if low[k] <= high[least]}
+    return found if len(found) < len(costs) or len(costs) == 1 else set()
+
+
+def _infinite(value: float | None, sign: float) -> float:
+    return math.inf if value is None else sign * value
 
 
 def title(data: Data) -> str:
     """The answer in one line."""
     here = in_distribution(data)["policies"]
-    tail = best([policy["metrics"]["tail_rms"]["median"]["value"] for policy in here], "tail_rms")
-    gain = best([policy["metrics"]["return"]["mean"]["value"] for policy in here], "return")
-    if tail is None or gain is None:
-        return "No policy is alone the best"
+    tail = best([policy["metrics"]["tail_rms"]["median"] for policy in here], "tail_rms")
+    gain = best([policy["metrics"]["return"]["mean"] for policy in here], "return")
+    labels = [policy["label"] for policy in here]
     if tail == gain:
-        return f"{here[tail]['label']} is the most accurate and has the best return"
-    return f"{here[tail]['label']} is the most accurate in the tail, {here[gain]['label']} has the best return"
+        who, be, have = _names(labels, tail)
+        return f"{who} {be} the most accurate and {have} the best return" if tail else "No policy is ahead"
+    parts = []
+    for chosen, word, rest in ((tail, 1, "the most accurate in the tail"), (gain, 2, "the best return")):
+        if chosen:
+            found = _names(labels, chosen)
+            parts.append(f"{found[0]} {found[word]} {rest}")
+    return ", ".join(parts)
 
 
-def headline(data: Data) -> list[str]:
-    """The answer in a few sentences."""
-    reference, here = data["reference"], by_label(in_distribution(data))
-    error = {label: p["metrics"]["tail_rms"]["median"]["value"] for label, p in here.items()}
-    tail = best(list(error.values()), "tail_rms")
-    first = None if tail is None else list(error)[tail]
-    sentences = [f"In distribution {first} is the most accurate in the tail: median RMS {number(error[first])}."] if first else []
-    for label, policy in here.items():
-        if label != reference:
-            sentences.append(_beside(label, policy, here[reference], data))
-    return sentences
+def _names(labels: list[str], chosen: set[int]) -> tuple[str, str, str]:
+    """The names, and the forms of be and have that go with them."""
+    named = [labels[k] for k in sorted(chosen)]
+    return (" and ".join(named), "is", "has") if len(named) < 2 else (" and ".join(named), "are", "have")
+
+
+def headline(data: Data) -> dict[str, str]:
+    """What is to be said of each policy."""
+    here, reference = by_label(in_distribution(data)), data["reference"]
+    return {label: _beside(label, one, here[reference], data) for label, one in here.items() if label != reference}
 
 
 def _beside(label: str, policy: Data, reference: Data, data: Data) -> str:
@@ -128,7 +143,7 @@ def _beside(label: str, policy: Data, reference: Data, data: Data) -> str:
     tail, p = policy["metrics"]["tail_rms"]["median"], policy["against"]["tail_rms"]["improvement"]
     gain = [policy["metrics"]["return"]["mean"], reference["metrics"]["return"]["mean"]]
     text = (
-        f"{label}, against {data['reference']}: {words[found['tail_rms']]} tail error (median {number(tail['value'])}; "
+        f"Against {data['reference']}: {words[found['tail_rms']]} tail error (median {number(tail['value'])}; "
         f"smaller on {100 * p['value']:.0f} % of the episodes), {words[found['return']]} return "
         f"({number(gain[0]['value'])} against {number(gain[1]['value'])})."
     )
@@ -153,17 +168,16 @@ def markdown(data: Data) -> str:
             [cell(shift["title"]), *(_shift_cell(by_label(shift)[label], metric) for label in labels)]
             for shift in data["shifts"]
         ]
-        statistic = "mean" if metric == "return" else "median"
-        parts.append(f"{statistic} of: {title}\n\n{_table(['', *map(cell, labels)], rows)}")
-    parts.append(" ".join(map(cell, headline(data))))
+        parts.append(f"{MAIN[metric]} of: {title}\n\n{_table(['', *map(cell, labels)], rows)}")
+    parts += [f"**{cell(label)}** {cell(sentence)}" for label, sentence in headline(data).items()]
     parts.append(LEGEND)
     return "\n\n".join(parts) + "\n"
 
 
 LEGEND = (
-    "Brackets: 95 % bootstrap interval over trainings and episodes. ▲ better, ▼ worse than the reference policy on the same "
-    "episodes, by the median factor; ≈ within 5 % or not distinguishable. An episode that leaves the operating region has an infinite cost: "
-    "∞ means that too many did."
+    "Brackets: 95 % bootstrap interval over trainings and episodes. Bold: the best, and those whose intervals overlap its own. "
+    "▲ better, ▼ worse than the reference policy on the same episodes, by the median factor; ≈ within 5 % or not "
+    "distinguishable. An episode that leaves the operating region has an infinite cost: ∞ means that too many did."
 )
 
 
@@ -180,9 +194,9 @@ def _first_table(data: Data) -> str:
     ):
         estimates = [policy["metrics"][metric][statistic] for policy in here]
         shown = [f"{number(one['value'], worst(metric))} {interval(one)}" for one in estimates]
-        rows.append([name, *_bold(shown, [one["value"] for one in estimates], metric)])
-    worsts = [policy["metrics"]["tail_rms"]["worst"] for policy in here]
-    rows.insert(3, ["tail RMS, worst", *_bold([number(value) for value in worsts], worsts, "tail_rms")])
+        rows.append([name, *_bold(shown, estimates, metric)])
+    worsts = [{"value": policy["metrics"]["tail_rms"]["worst"]} for policy in here]
+    rows.insert(3, ["tail RMS, worst", *_bold([number(one["value"]) for one in worsts], worsts, "tail_rms")])
     left = [policy["metrics"]["escaped"] for policy in here]
     rows.append(["left the operating region", *(f"{one['count']} of {one['episodes']}" for one in left)])
     return _table(["", *(cell(_with_runs(policy)) for policy in data["policies"])], rows)
@@ -192,14 +206,14 @@ def _with_runs(policy: Data) -> str:
     return f"{policy['label']}, {policy['runs']} trainings" if policy["trained"] else policy["label"]
 
 
-def _bold(shown: list[str], values: list[float | None], metric: str) -> list[str]:
-    """The best one bold."""
-    chosen = best(values, metric)
-    return [f"**{one}**" if k == chosen else one for k, one in enumerate(shown)]
+def _bold(shown: list[str], estimates: list[Data], metric: str) -> list[str]:
+    """The best ones bold."""
+    chosen = best(estimates, metric)
+    return [f"**{one}**" if k in chosen else one for k, one in enumerate(shown)]
 
 
 def _shift_cell(policy: Data, metric: str) -> str:
-    estimate = policy["metrics"][metric]["mean" if metric == "return" else "median"]
+    estimate = policy["metrics"][metric][MAIN[metric]]
     left = policy["metrics"]["escaped"]["count"]
     parts = [number(estimate["value"], worst(metric)), interval(estimate), mark(policy["against"], metric)]
     return " ".join([*filter(None, parts), *([f"({left} left)"] if left else [])])

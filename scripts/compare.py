@@ -6,7 +6,7 @@ python scripts/compare.py mfc "PPO=ppo:results/a/best,results/b/best" --shifts n
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +17,16 @@ from rich.markdown import Markdown
 from rich.progress import MofNCompleteColumn, Progress, TaskID, TimeRemainingColumn
 
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, comparison, comparison_data, comparison_figures, comparison_text, figures, files, shifts
+from baselines import (
+    command_line,
+    comparison,
+    comparison_data,
+    comparison_figures,
+    comparison_text,
+    figures,
+    files,
+    shifts,
+)
 from baselines.comparison import MEASURES, Played, Policy, Setting
 from baselines.comparison_data import Contest
 from baselines.comparison_page import Picture, page
@@ -87,7 +96,7 @@ def play(args: Arguments, policies: list[Policy], against: str, bar: Progress) -
 def pictures(data: dict[str, Any], contest: Contest) -> list[Picture]:
     """All figures there is something to show in."""
     first = contest.played[shifts.IN_DISTRIBUTION]
-    results = [Result(_named(one, label), [], one.first) for label, one in first.items()]
+    results = [Result(replace(one.entries[0], label=label), [], one.first) for label, one in first.items()]
     band = "Bands and bars: 95 % bootstrap intervals."
     found = [
         ("tail", "Accuracy under every shift", f"To the left is better. {band}", comparison_figures.tail(data)),
@@ -111,13 +120,7 @@ def pictures(data: dict[str, Any], contest: Contest) -> list[Picture]:
     if data["learning"]["curves"]:
         caption = f"On the episodes of the evaluations during training. {band}"
         found.append(("learning", "Sample efficiency", caption, comparison_figures.learning(data)))
-    return [Picture(*one[:3], comparison_figures.ink(one[3])) for one in found]
-
-
-def _named(played: Played, label: str) -> Any:
-    from dataclasses import replace
-
-    return replace(played.entries[0], label=label)
+    return [Picture(*one[:3], comparison_figures.ink(one[3]), one[0] == "profiles") for one in found]
 
 
 def write_csv(path: Path, contest: Contest) -> None:
