@@ -129,8 +129,7 @@ def _learning(contest: Contest, bootstrap: Bootstrap) -> Data:
     level = summary.number(np.median(played[contest.reference].scores["tail_rms"]))
     curves = []
     for policy in contest.policies:
-        named = zip(policy.specifications, played[policy.label].entries, strict=True)
-        every = [learning_curves.curve(name, _training(entry)) for name, entry in named]
+        every = [learning_curves.curve(_training(entry)) for entry in played[policy.label].entries]
         found = learning_curves.aggregate([one for one in every if one], level, bootstrap.reps, bootstrap.seed)
         if found is not None:
             curves.append({"label": policy.label, **found})

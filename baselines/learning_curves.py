@@ -12,19 +12,12 @@ from baselines.comparison_summary import number
 Curve = dict[int, float]  # timesteps -> median tail RMS, inf where that episode left the region
 
 
-def curve(name: str, training: Mapping[str, Any]) -> Curve:
-    """The curve in an agent's file, empty if there is none. Raises ValueError for one that is not what training writes."""
-    rows = training.get("curve", [])
-    if not isinstance(rows, list | tuple):
-        raise ValueError(f"`curve` of {name} must be a list of rows, got {type(rows).__name__}.")
-    found: Curve = {}
-    for row in rows:
-        steps, error = (row.get("timesteps"), row.get("tail_rms")) if isinstance(row, Mapping) else (None, None)
-        error = math.inf if error is None else error
-        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 0 or not _is_cost(error):
-            raise ValueError(f"`curve` of {name} must have rows with timesteps and tail_rms, got another one.")
-        found[steps] = float(error)
-    return found
+def curve(training: Mapping[str, Any]) -> Curve:
+    """The curve in an agent's file; empty if there is none, or another one than training writes."""
+    rows = training.get("curve")
+    if not isinstance(rows, list | tuple) or not all(map(_is_row, rows)):
+        return {}
+    return {row["timesteps"]: math.inf if row["tail_rms"] is None else float(row["tail_rms"]) for row in rows}
 
 
 def aggregate(curves: Sequence[Curve], level: float | None, reps: int, seed: int = 0) -> dict[str, Any] | None:
@@ -49,5 +42,8 @@ def _first(timesteps: Sequence[int], values: Sequence[float | None], level: floa
     return next((t for t, v in zip(timesteps, values, strict=True) if v is not None and v <= factor * level), None)
 
 
-def _is_cost(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and value >= 0
+def _is_row(row: Any) -> bool:
+    if not isinstance(row, Mapping) or not {"timesteps", "tail_rms"} <= set(row):
+        return False
+    steps, error = row["timesteps"], row["tail_rms"]
+    return type(steps) is int and steps >= 0 and (error is None or (type(error) in (int, float) and error >= 0))

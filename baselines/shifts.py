@@ -20,11 +20,17 @@ class Shift:
     keywords: Mapping[str, Any] = field(default_factory=dict)  # of the environment
     dt: float = 1.0  # factor of the sampling time
     horizon: float = 1.0  # factor of the length of an episode
+    noise: float | None = None  # on y, in units of the reference; xi_n is then differentiated
     initial: float = 1.0  # factor of the initial state's distance from the middle of its set
 
     def options(self, given: Mapping[str, Any], base: Simulation) -> dict[str, Any]:
         """The environment's keywords under this shift; `given`: those of the task, `base`: what they make."""
-        return {**given, "dt": self.dt * base.dt, "horizon": self.horizon * base.horizon, **self.keywords}
+        clock = {"dt": self.dt * base.dt, "horizon": self.horizon * base.horizon}
+        measured = {
+            "derivatives": DIFFERENTIATOR,
+            "sensors": {"noise": (self.noise or 0.0) * base.plant.task.reference_scale},
+        }
+        return {**given, **clock, **(measured if self.noise is not None else {}), **self.keywords}
 
     def reset_options(self, envs: Any, seed: int) -> dict[str, Array] | None:
         """Options for `reset(seed=seed)` of a vector environment, whose theta and references stay as drawn."""
@@ -42,12 +48,13 @@ class Shift:
 
 
 IN_DISTRIBUTION = "in-distribution"
+DIFFERENTIATOR = "ired"
 
 SHIFTS: dict[str, Shift] = {
     IN_DISTRIBUTION: Shift("in distribution"),
     "initial": Shift("initial states twice as far out", initial=2.0),
-    "noise": Shift("noise of 1e-5 on y, differentiated", {"derivatives": "ired", "sensors": {"noise": 1e-5}}),
-    "more-noise": Shift("noise of 1e-3 on y, differentiated", {"derivatives": "ired", "sensors": {"noise": 1e-3}}),
+    "noise": Shift("noise of 1e-5 on y, differentiated", noise=1e-5),
+    "more-noise": Shift("noise of 1e-3 on y, differentiated", noise=1e-3),
     "faster": Shift("sampling twice as fast", dt=0.5),
     "slower": Shift("sampling half as fast", dt=2.0),
     "multisine": Shift("reference of three sines", {"reference": "multisine", "reference_parameters": None}),
