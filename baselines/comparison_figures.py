@@ -64,7 +64,7 @@ def improvement(data: Data) -> Figure:
     label = f"probability of a smaller tail error than {plain(data['reference'])}"
     figure = intervals(data, part, label, False)
     (ax,) = figure.axes
-    ax.axvline(0.5, color=INK, linewidth=0.8, linestyle=":")
+    ax.axvline(0.5, color="k", linewidth=1.2, linestyle=":")
     ax.set_xlim(-0.03, 1.03)
     return figure
 

@@ -72,7 +72,7 @@ def _cards(data: Data) -> list[Data]:
     """One for each policy."""
     here, scores = by_label(in_distribution(data)), {}
     if data["scores"] is not None:
-        scores = {one["label"]: one["iqm"] for one in data["scores"]["policies"]}
+        scores = {one["label"]: one["mean"] for one in data["scores"]["policies"]}
     return [
         {
             "policy": policy,
@@ -115,7 +115,7 @@ def _statistics(data: Data) -> list[Data]:
         for statistic, words in text.STATISTICS.items():
             values = [policy["metrics"][metric][statistic] for policy in here]
             estimates = [value if isinstance(value, dict) else {"value": value} for value in values]
-            best = text.best(estimates, metric)
+            best = text.best(estimates, metric, text.safe(data))
             cells = [
                 {
                     "value": text.number(one["value"], text.worst(metric)),

@@ -38,8 +38,9 @@ def number(value: float | None, infinite: str = "∞") -> str:
 
 
 def interval(estimate: Data) -> str:
-    """[low, high]."""
-    return f"[{number(estimate['low'], '-∞')}, {number(estimate['high'])}]"
+    """[low, high] of a cost or of the return."""
+    low = number(estimate["low"], "∞" if estimate["value"] is None else "-∞")
+    return f"[{low}, {number(estimate['high'])}]"
 
 
 def worst(metric: str) -> str:
@@ -90,16 +91,23 @@ def in_distribution(data: Data) -> Data:
     return next(shift for shift in data["shifts"] if shift["name"] == IN_DISTRIBUTION)
 
 
-def best(estimates: list[Data], metric: str) -> set[int]:
+def safe(data: Data) -> set[int]:
+    """The policies that stay in the operating region, in distribution, as often as the best does: their intervals overlap."""
+    rates = [policy["metrics"]["escaped"]["rate"] for policy in in_distribution(data)["policies"]]
+    least = min(rates, key=lambda rate: (rate["value"], rate["high"]))
+    return {k for k, rate in enumerate(rates) if rate["low"] <= least["high"]}
+
+
+def best(estimates: list[Data], metric: str, among: set[int]) -> set[int]:
     """The best ones: the best value, and those whose intervals overlap its interval; none if that holds for all."""
     sign = -1.0 if metric == "return" else 1.0
     costs = [_infinite(one["value"], sign) for one in estimates]
-    least = costs.index(min(costs))
+    least = min(among, key=lambda k: costs[k])
     if costs[least] == math.inf:
         return set()
     ends = ("low", "high") if sign > 0 else ("high", "low")
     low, high = ([_infinite(one.get(end, one["value"]), sign) for one in estimates] for end in ends)
-    found = {k for k in range(len(costs)) if low[k] <= high[least]}
+    found = {k for k in among if low[k] <= high[least]}
     return found if len(found) < len(costs) or len(costs) == 1 else set()
 
 
@@ -110,8 +118,8 @@ def _infinite(value: float | None, sign: float) -> float:
 def title(data: Data) -> str:
     """The answer in one line."""
     here = in_distribution(data)["policies"]
-    tail = best([policy["metrics"]["tail_rms"]["median"] for policy in here], "tail_rms")
-    gain = best([policy["metrics"]["return"]["mean"] for policy in here], "return")
+    tail = best([policy["metrics"]["tail_rms"]["median"] for policy in here], "tail_rms", safe(data))
+    gain = best([policy["metrics"]["return"]["mean"] for policy in here], "return", safe(data))
     labels = [policy["label"] for policy in here]
     if tail == gain:
         who, be, have = _names(labels, tail)
@@ -137,26 +145,28 @@ def headline(data: Data) -> dict[str, str]:
 
 
 def _beside(label: str, policy: Data, reference: Data, data: Data) -> str:
-    """One policy beside the reference policy."""
-    words = {"better": "a better", "worse": "a worse", "even": "about the same"}
-    found = {m: verdict(policy["against"], m) or "even" for m in ("tail_rms", "return")}
-    tail, p = policy["metrics"]["tail_rms"]["median"], policy["against"]["tail_rms"]["improvement"]
-    gain = [policy["metrics"]["return"]["mean"], reference["metrics"]["return"]["mean"]]
-    text = (
-        f"Against {data['reference']}: {words[found['tail_rms']]} tail error (median {number(tail['value'])}; "
-        f"smaller on {100 * p['value']:.0f} % of the episodes), {words[found['return']]} return "
-        f"({number(gain[0]['value'])} against {number(gain[1]['value'])})."
-    )
-    shifts = [by_label(shift)[label] for shift in data["shifts"] if shift["name"] != IN_DISTRIBUTION]
-    if not shifts:
-        return text
-    counts = {v: sum(verdict(one["against"], "tail_rms") == v for one in shifts) for v in VERDICTS}
-    left = sum(one["metrics"]["escaped"]["count"] for one in shifts)
-    episodes = sum(one["metrics"]["escaped"]["episodes"] for one in shifts)
-    return (
-        f"{text} Under {len(shifts)} shifts its tail error is smaller in {counts['better']}, larger in "
-        f"{counts['worse']}, about the same in {counts['even']}; it left the operating region in {left} of {episodes} episodes."
-    )
+    """One policy beside the reference policy, in distribution and under the shifts."""
+    name, tail, ratio = data["reference"], policy["metrics"]["tail_rms"], policy["against"]["tail_rms"]["ratio"]
+    gain = [one["metrics"]["return"]["mean"] for one in (policy, reference)]
+    sentences = [
+        f"Median tail RMS {number(tail['median']['value'])}, {number(ratio['value'])} times that of {name}; mean return "
+        f"{number(gain[0]['value'])} against {number(gain[1]['value'])} ({verdict(policy['against'], 'return')}); "
+        f"left the operating region in {_left([policy])} episodes."
+    ]
+    shifts = [by_label(shift) for shift in data["shifts"] if shift["name"] != IN_DISTRIBUTION]
+    if shifts:
+        found = [verdict(shift[label]["against"], "tail_rms") for shift in shifts]
+        sentences.append(
+            f"Under {len(shifts)} shift{'s' if len(shifts) > 1 else ''} the tail error is smaller in {found.count('better')}, "
+            f"larger in {found.count('worse')}, about the same in {found.count('even')}; "
+            f"left the region in {_left([shift[label] for shift in shifts])} episodes ({name}: {_left([s[name] for s in shifts])})."
+        )
+    return " ".join(sentences)
+
+
+def _left(policies: list[Data]) -> str:
+    count, episodes = (sum(one["metrics"]["escaped"][key] for one in policies) for key in ("count", "episodes"))
+    return f"{count} of {episodes}"
 
 
 def markdown(data: Data) -> str:
@@ -175,7 +185,8 @@ def markdown(data: Data) -> str:
 
 
 LEGEND = (
-    "Brackets: 95 % bootstrap interval over trainings and episodes. Bold: the best, and those whose intervals overlap its own. "
+    "Brackets: 95 % bootstrap interval over trainings and episodes. Bold: the best, and those whose intervals overlap its own, "
+    "among the policies that stay in the operating region as often as the best does. "
     "▲ better, ▼ worse than the reference policy on the same episodes, by the median factor; ≈ within 5 % or not "
     "distinguishable. An episode that leaves the operating region has an infinite cost: ∞ means that too many did."
 )
@@ -194,9 +205,11 @@ def _first_table(data: Data) -> str:
     ):
         estimates = [policy["metrics"][metric][statistic] for policy in here]
         shown = [f"{number(one['value'], worst(metric))} {interval(one)}" for one in estimates]
-        rows.append([name, *_bold(shown, estimates, metric)])
+        rows.append([name, *_bold(shown, estimates, metric, safe(data))])
     worsts = [{"value": policy["metrics"]["tail_rms"]["worst"]} for policy in here]
-    rows.insert(3, ["tail RMS, worst", *_bold([number(one["value"]) for one in worsts], worsts, "tail_rms")])
+    rows.insert(
+        3, ["tail RMS, worst", *_bold([number(one["value"]) for one in worsts], worsts, "tail_rms", safe(data))]
+    )
     left = [policy["metrics"]["escaped"] for policy in here]
     rows.append(["left the operating region", *(f"{one['count']} of {one['episodes']}" for one in left)])
     return _table(["", *(cell(_with_runs(policy)) for policy in data["policies"])], rows)
@@ -206,9 +219,9 @@ def _with_runs(policy: Data) -> str:
     return f"{policy['label']}, {policy['runs']} trainings" if policy["trained"] else policy["label"]
 
 
-def _bold(shown: list[str], estimates: list[Data], metric: str) -> list[str]:
+def _bold(shown: list[str], estimates: list[Data], metric: str, among: set[int]) -> list[str]:
     """The best ones bold."""
-    chosen = best(estimates, metric)
+    chosen = best(estimates, metric, among)
     return [f"**{one}**" if k in chosen else one for k, one in enumerate(shown)]
 
 
