@@ -155,11 +155,12 @@ def _beside(label: str, policy: Data, reference: Data, data: Data) -> str:
     ]
     shifts = [by_label(shift) for shift in data["shifts"] if shift["name"] != IN_DISTRIBUTION]
     if shifts:
+        own, others = _left([shift[label] for shift in shifts]), _left([shift[name] for shift in shifts])
         found = [verdict(shift[label]["against"], "tail_rms") for shift in shifts]
         sentences.append(
             f"Under {len(shifts)} shift{'s' if len(shifts) > 1 else ''} the tail error is smaller in {found.count('better')}, "
             f"larger in {found.count('worse')}, about the same in {found.count('even')}; "
-            f"left the region in {_left([shift[label] for shift in shifts])} episodes ({name}: {_left([s[name] for s in shifts])})."
+            f"left the region in {own} episodes ({name}: {others})."
         )
     return " ".join(sentences)
 
