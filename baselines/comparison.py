@@ -60,6 +60,7 @@ class Setting:
             env, keywords = "mfc_gym/Plant-v0", {"system": env, **keywords}
         base: Any = gym.make(env, **keywords)
         self.env, self.shift = env, shift
+        self.applies = shift.applies(keywords, base.unwrapped.simulation)
         self.options = shift.options(keywords, base.unwrapped.simulation)
         self.scalar: Any = gym.make(env, **self.options)
         self.simulation: Simulation = self.scalar.unwrapped.simulation  # type: ignore[attr-defined]
@@ -83,6 +84,12 @@ class Setting:
             rows.append(evaluate(episode, self.simulation.input_limit, self.simulation.horizon))
         assert first is not None
         return {name: np.array([row[name] for row in rows]) for name in MEASURES}, first
+
+
+def settings(env: str, options: Mapping[str, Any], shifts: Mapping[str, Shift]) -> dict[str, Setting]:
+    """The task under every shift that changes something about it. Raises ValueError for options that cannot work."""
+    found = {name: Setting(env, options, shift) for name, shift in shifts.items()}
+    return {name: setting for name, setting in found.items() if setting.applies}
 
 
 def play(policy: Policy, setting: Setting, seeds: range, progress: Callable[[], object] = lambda: None) -> Played:

@@ -23,6 +23,11 @@ class Shift:
     noise: float | None = None  # on y, in units of the reference; xi_n is then differentiated
     initial: float = 1.0  # factor of the initial state's distance from the middle of its set
 
+    def applies(self, given: Mapping[str, Any], base: Simulation) -> bool:
+        """Whether the shift changes anything: the plant has a set of initial states, its reference is another one."""
+        own = given.get("reference") or base.plant.task.reference
+        return (self.initial == 1.0 or bool(base.plant.task.initial_set)) and self.keywords.get("reference") != own
+
     def options(self, given: Mapping[str, Any], base: Simulation) -> dict[str, Any]:
         """The environment's keywords under this shift; `given`: those of the task, `base`: what they make."""
         clock = {"dt": self.dt * base.dt, "horizon": self.horizon * base.horizon}

@@ -27,7 +27,7 @@ from baselines import (
     files,
     shifts,
 )
-from baselines.comparison import MEASURES, Played, Policy, Setting
+from baselines.comparison import MEASURES, Played, Policy
 from baselines.comparison_data import Contest
 from baselines.comparison_page import Picture, page
 from baselines.comparison_summary import Bootstrap
@@ -78,19 +78,19 @@ def options(args: Arguments) -> dict[str, Any]:
 
 def play(args: Arguments, policies: list[Policy], against: str, bar: Progress) -> Contest:
     """Every policy under every shift."""
-    chosen, seeds = shifts.chosen(args.shifts), range(args.seed, args.seed + args.episodes)
-    task = bar.add_task("episodes", total=len(chosen) * sum(len(policy.specifications) for policy in policies))
+    settings = comparison.settings(args.env, options(args), shifts.chosen(args.shifts))
+    seeds = range(args.seed, args.seed + args.episodes)
+    task = bar.add_task("episodes", total=len(settings) * sum(len(policy.specifications) for policy in policies))
     played: dict[str, Mapping[str, Played]] = {}
     zero = {}
-    for name, shift in chosen.items():
-        bar.update(task, description=shift.title)
-        setting = Setting(args.env, options(args), shift)
+    for name, setting in settings.items():
+        bar.update(task, description=setting.shift.title)
         step = partial(bar.advance, task)
         played[name] = {policy.label: comparison.play(policy, setting, seeds, step) for policy in policies}
         zero[name] = {k: v[None] for k, v in setting.scores(comparison.ZeroInput(), seeds)[0].items()}
     bar.update(task, description="episodes")
     environment = {"id": args.env, "options": options(args)}
-    return Contest(environment, seeds, policies, against, chosen, played, zero)
+    return Contest(environment, seeds, policies, against, {k: s.shift for k, s in settings.items()}, played, zero)
 
 
 def pictures(data: dict[str, Any], contest: Contest) -> list[Picture]:
