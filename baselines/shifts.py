@@ -57,6 +57,9 @@ DIFFERENTIATOR = "ired"
 
 SHIFTS: dict[str, Shift] = {
     IN_DISTRIBUTION: Shift("in distribution"),
+    "beyond": Shift("theta beyond its set", {"uncertainty": "beyond"}),
+    "half-matched": Shift("uncertainty half unmatched", {"unmatchedness": 0.5}),
+    "matched": Shift("uncertainty matched", {"unmatchedness": 0.0}),
     "initial": Shift("initial states twice as far out", initial=2.0),
     "noise": Shift("noise of 1e-5 on y, differentiated", noise=1e-5),
     "more-noise": Shift("noise of 1e-3 on y, differentiated", noise=1e-3),
