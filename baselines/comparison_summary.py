@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Data = dict[str, Any]
 
 STATISTICS = ("iqm", "mean", "median", "cvar")  # with intervals; the worst episode is a fact, not an estimate
-RATIOS = ("tail_rms", "transient_iae")  # positive, and spread over orders of magnitude
+RATIOS = ("tail_rms", "transient_iae", "tail_total_variation_rate")  # >= 0, and spread over orders of magnitude
 CVAR = 0.1  # fraction of the worst episodes
 POINTS = 60  # of a performance profile
 
@@ -51,7 +51,7 @@ def against(x: Mapping[str, Array], y: Mapping[str, Array], bootstrap: Bootstrap
     """A policy x beside the reference policy y on the same episodes, per metric.
 
     `difference`: median of x - y over the pairs (mean for the return); `ratio`: median of x / y, for the metrics that have
-    one; `improvement`: probability that x is better than y on an episode.
+    one; `size`: mean of abs(y), for the return; `improvement`: probability that x is better than y on an episode.
     """
     found: Data = {}
     for name in (name for name in MEASURES if name != "escaped"):
@@ -62,6 +62,8 @@ def against(x: Mapping[str, Array], y: Mapping[str, Array], bootstrap: Bootstrap
             "difference": plain(bootstrap(partial(_of_pairs, difference, middle), x[name], y[name])),
             "improvement": plain(bootstrap(better, a, b)),
         }
+        if name == "return":
+            found[name]["size"] = number(np.abs(y[name]).mean())
         if name in RATIOS:
             found[name]["ratio"] = plain(bootstrap(partial(_of_pairs, ratio, lower_median), x[name], y[name]))
     return found

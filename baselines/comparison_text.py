@@ -23,7 +23,7 @@ STATISTICS = {
     "worst": "worst",
 }
 MAIN = {"tail_rms": "median", "transient_iae": "median", "return": "mean", "tail_total_variation_rate": "median"}
-EVEN = 1.05  # ratio of medians below which two policies count as equal
+EVEN = 1.05  # median ratio, or relative mean return, within which two policies count as equal
 VERDICTS = {"better": "▲", "worse": "▼", "even": "≈"}
 
 
@@ -52,14 +52,15 @@ def verdict(against: Data | None, metric: str) -> str | None:
     """better, worse or even, beside the reference policy on the same episodes; None for the reference policy itself.
 
     Costs: whether the interval of the probability of improvement excludes 1/2, and the median ratio is off 1 by 5 % or more.
-    The return: whether the interval of the mean difference excludes 0, so that rare disasters count.
+    The return: whether the interval of the mean difference excludes 0, so that rare disasters count, and it is 5 % or more.
     """
     if against is None:
         return None
     found = against[metric]
     if metric == "return":
-        return _side(found["difference"], 0.0)
-    ratio = found["ratio"]["value"] if "ratio" in found else None
+        even = abs(found["difference"]["value"]) < (EVEN - 1) * found["size"]
+        return "even" if even else _side(found["difference"], 0.0)
+    ratio = found["ratio"]["value"]
     even = ratio is not None and 1 / EVEN < ratio < EVEN
     return "even" if even else _side(found["improvement"], 0.5)
 
