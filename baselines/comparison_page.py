@@ -152,5 +152,5 @@ def _cell(policy: Data, metric: str) -> Data:
         "interval": text.interval(estimate),
         "verdict": text.verdict(policy["against"], metric),
         "mark": text.mark(policy["against"], metric),
-        "left": policy["metrics"]["escaped"]["count"],
+        "left": text.left(policy),
     }

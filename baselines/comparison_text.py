@@ -82,6 +82,12 @@ def mark(against: Data | None, metric: str) -> str:
     return f"{VERDICTS[found]} {number(factor)}× {found}"
 
 
+def left(policy: Data) -> str:
+    """How many episodes left the operating region, of how many; empty for none."""
+    escaped = policy["metrics"]["escaped"]
+    return f"{escaped['count']} of {escaped['episodes']}" if escaped["count"] else ""
+
+
 def by_label(shift: Data) -> dict[str, Data]:
     """The policies of a shift."""
     return {policy["label"]: policy for policy in shift["policies"]}
@@ -229,9 +235,8 @@ def _bold(shown: list[str], estimates: list[Data], metric: str, among: set[int])
 
 def _shift_cell(policy: Data, metric: str) -> str:
     estimate = policy["metrics"][metric][MAIN[metric]]
-    left = policy["metrics"]["escaped"]["count"]
     parts = [number(estimate["value"], worst(metric)), interval(estimate), mark(policy["against"], metric)]
-    return " ".join([*filter(None, parts), *([f"({left} left)"] if left else [])])
+    return " ".join([*filter(None, parts), *([f"({left(policy)} left)"] if left(policy) else [])])
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
