@@ -1,10 +1,10 @@
-"""How each algorithm is trained: one table, by name. A new algorithm is one entry.
+"""How each algorithm is trained: one table, by name, and what other plants need instead. A new algorithm is one entry.
 
 The values were found on `mfc_gym/PerturbedChain-v0`, random scenario, dt = 0.02 s; see `docs/learning.md`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 
@@ -26,6 +26,7 @@ class Hyperparameters:
     )
     noise: float = 0.0  # standard deviation of the action noise, in actions
     log_std: tuple[float, float] | None = None  # of a Gaussian policy, at the start and at the end; None: it is learnt
+    environment: Mapping[str, Any] = field(default_factory=lambda: {"dt": 0.02, "horizon": 10.0})  # s
 
 
 OFF_POLICY: dict[str, Any] = {
@@ -92,3 +93,14 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
         options={k: v for k, v in OFF_POLICY.items() if k != "tau"} | {"target_entropy": -3.0},
     ),
 }
+
+# by environment id and algorithm: the fields that differ from the algorithm's entry; mappings are merged
+PLANTS: dict[str, dict[str, dict[str, Any]]] = {}
+
+
+def hyperparameters(algorithm: str, env: str) -> Hyperparameters:
+    """The algorithm's entry with what the plant has in its place. Raises KeyError for an unknown algorithm."""
+    given = HYPERPARAMETERS[algorithm]
+    other = PLANTS.get(env, {}).get(algorithm, {})
+    merged: dict[str, Any] = {k: {**getattr(given, k), **v} if isinstance(v, Mapping) else v for k, v in other.items()}
+    return replace(given, **merged)

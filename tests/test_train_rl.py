@@ -21,7 +21,8 @@ import baselines  # noqa: E402
 from baselines.agent_files import load_agent  # noqa: E402
 from baselines.hyperparameters import HYPERPARAMETERS  # noqa: E402
 from baselines.learner import TRAINING  # noqa: E402
-from baselines.training import SCALING, VALIDATION, Plan, Training, train  # noqa: E402
+from baselines.training import VALIDATION, Plan, Training, train  # noqa: E402
+from baselines.training_env import SCALING  # noqa: E402
 from baselines.validation import Evaluation, Row  # noqa: E402
 from scripts import train_rl  # noqa: E402
 
