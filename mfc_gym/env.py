@@ -82,7 +82,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
             self._recorder.add(observation, value)
         info: dict[str, Any] = {}
         if terminated or truncated:
-            info["is_success"] = bool(self.simulation.success(observation, terminated))
+            info["is_success"] = bool(self.simulation.success(self.rows, observation[None], terminated)[0])
         return observation, reward, terminated, truncated, info
 
     def render(self) -> Any:

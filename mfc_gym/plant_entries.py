@@ -107,7 +107,7 @@ def region_end(value: Any, path: Key) -> sp.Expr:
 
 
 def task(value: Any, states: Sequence[str], theta: Mapping[str, Interval]) -> Task:
-    """The table [task], every key as in `Task`; numbers are positive."""
+    """The table [task], every key as in `Task`; numbers but the offset are positive."""
     entries = table(value, ("task",))
     defaults = {f.name: f.default for f in fields(Task)}
     keys(entries, list(defaults), ("task",))
@@ -125,7 +125,7 @@ def task(value: Any, states: Sequence[str], theta: Mapping[str, Interval]) -> Ta
         elif isinstance(defaults[key], str):
             read[key] = text(entry, path)
         else:
-            read[key] = number(entry, path, positive=True)
+            read[key] = number(entry, path, positive=key != "reference_offset")
     for i, (given, (name, (low, high))) in enumerate(zip(read.get("theta", ()), theta.items(), strict=False)):
         if not low <= given <= high:
             raise EntryError(

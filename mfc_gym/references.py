@@ -5,7 +5,7 @@ Every family is one function `f(t, p, out)`: time t in s, parameters p of shape 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import cos, isfinite, pi, sin
 from numbers import Real
@@ -88,11 +88,11 @@ def step(t: float, p: Array, out: Array) -> None:
 
 @njit
 def chirp(t: float, p: Array, out: Array) -> None:
-    """y_d = amplitude sin(phi), phi = frequency t + rate t^2 / 2.
+    """y_d = offset + amplitude sin(phi), phi = frequency t + rate t^2 / 2.
 
     z = exp(i phi) has z' = i phi' z, hence z^(k+1) = i (phi' z^(k) + k phi'' z^(k-1)) by Leibniz' rule; y_d = Im z.
     """
-    amplitude, frequency, rate = p[0], p[1], p[2]
+    amplitude, frequency, rate, offset = p[0], p[1], p[2], p[3]
     phi = frequency * t + 0.5 * rate * t * t
     speed = frequency + rate * t
     re, im, re_before, im_before = cos(phi), sin(phi), 0.0, 0.0
@@ -101,6 +101,7 @@ def chirp(t: float, p: Array, out: Array) -> None:
         re_next = -(speed * im + k * rate * im_before)
         im_next = speed * re + k * rate * re_before
         re_before, im_before, re, im = re, im, re_next, im_next
+    out[0] += offset
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,16 @@ class Reference:
             raise ValueError(f"`duration` of the reference must be positive, got {given['duration']}.")
         return np.array([float(given.get(name, default)) for name, default in self.defaults.items()])
 
+    def scaled(self, scale: float, offset: float, rate: float) -> "Reference":
+        """The family in a plant's units: 1 stands for `scale` about `offset` in y, and for `rate` in 1/s."""
+
+        def own(name: str, value: float) -> float:
+            return UNITS[name.rstrip("0123456789")](value, scale, offset, rate)
+
+        defaults = {name: own(name, value) for name, value in self.defaults.items()}
+        sets = {name: (own(name, low), own(name, high)) for name, (low, high) in self.sets.items()}
+        return replace(self, defaults=defaults, sets=sets)
+
     def draw(self, rng: np.random.Generator, given: Mapping[str, float]) -> Array:
         """Parameters drawn uniformly from the sets; those given stay as given."""
         drawn = {name: rng.uniform(low, high) for name, (low, high) in self.sets.items()}
@@ -143,6 +154,14 @@ class Reference:
 
 
 _PHASE = (0.0, 2 * pi)
+UNITS: dict[str, Callable[[float, float, float, float], float]] = {  # of a parameter: its value, scale, offset, rate
+    **dict.fromkeys(("amplitude", "height"), lambda v, scale, offset, rate: scale * v),
+    **dict.fromkeys(("value", "start", "offset"), lambda v, scale, offset, rate: offset + scale * v),
+    "frequency": lambda v, scale, offset, rate: rate * v,
+    "rate": lambda v, scale, offset, rate: rate**2 * v,
+    **dict.fromkeys(("begin", "duration"), lambda v, scale, offset, rate: v / rate),
+    "phase": lambda v, scale, offset, rate: v,
+}
 
 
 def _numbered(names: tuple[str, ...], *rows: tuple[Any, ...]) -> dict[str, Any]:
@@ -171,7 +190,7 @@ REFERENCES: dict[str, Reference] = {
     ),
     "chirp": Reference(
         chirp,
-        {"amplitude": 1.0, "frequency": 0.25, "rate": 0.05},
+        {"amplitude": 1.0, "frequency": 0.25, "rate": 0.05, "offset": 0.0},
         {"amplitude": (0.5, 1.0), "frequency": (0.25, 0.5), "rate": (0.0, 0.04)},
     ),
 }

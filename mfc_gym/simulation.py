@@ -72,7 +72,8 @@ class Simulation:
         if self.steps < 1 or abs(self.steps * self.dt - self.horizon) > 1e-9 * self.horizon:
             raise ValueError(f"`horizon` must be a multiple of `dt`, got horizon = {self.horizon} and dt = {self.dt}.")
         name = task.reference if given.reference is None else given.reference
-        self.reference = references.get(name)
+        units = task.reference_scale, task.reference_offset, task.reference_rate
+        self.reference = references.get(name).scaled(*units)
         own = task.reference_parameters if given.reference in (None, task.reference) else {}
         self.reference_parameters = dict(own) | _dict("reference_parameters", given.reference_parameters)
         parameters = self.reference.parameters(self.reference_parameters)
@@ -150,10 +151,9 @@ class Simulation:
         assert above.size == observation.size(n)
         return spaces.Box(below, above, dtype=np.float64)
 
-    def success(self, observations: Array, terminated: Any) -> Any:
-        """Whether an episode ended on the horizon, with abs(y - y_d) within the task's success error; shape (...)."""
-        n = self.plant.order
-        error = np.abs(observations[..., n] - observations[..., 2 * n])
+    def success(self, rows: Array, observations: Array, terminated: Any) -> Any:
+        """Whether episodes ended on the horizon, with abs(y - y_d) of the true y within the task's success error; shape (m,)."""
+        error = np.abs(self.kernel.outputs(rows) - observations[:, 2 * self.plant.order])
         return np.logical_not(terminated) & (error <= self.plant.task.success_error)
 
     # -- beginning episodes -------------------------------------------------------------------------------------------

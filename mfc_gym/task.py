@@ -17,7 +17,10 @@ class Task:
     process_pole: float = 4.0  # 1/s, n-fold pole of the process loop that suits the plant's input
     input_limit: float = 50.0  # abs(u) <= input_limit, unit of u
     reference: str = "sine"
-    reference_parameters: Mapping[str, float] = field(default_factory=dict)
+    reference_parameters: Mapping[str, float] = field(default_factory=dict)  # fixed, also in the random scenario
+    reference_scale: float = 1.0  # what an amplitude of 1 stands for in every family of references, unit of y
+    reference_offset: float = 0.0  # the middle of every family, unit of y
+    reference_rate: float = 1.0  # 1/s, what a frequency of 1 stands for
     cost_max: float = 10.0  # largest cost per second, unit of y (or its square)
     success_error: float = 0.05  # abs(y - y_d) at the end of a successful episode, unit of y
     horizon: float = 20.0  # s

@@ -65,8 +65,8 @@ def test_chirp(seed: int) -> None:
     """Against SymPy to 30 digits. Rounding: the phase is off by 4 eps phi, and what the recursion adds up obeys the
     recursion with absolute values."""
     rng = np.random.default_rng(seed)
-    A, w, r = p = rng.uniform(0.1, 2, 3)
-    y = sp.Rational(A) * sp.sin(sp.Rational(w) * t + sp.Rational(r) * t**2 / 2)
+    A, w, r, c = p = rng.uniform(0.1, 2, 4)
+    y = sp.Rational(c) + sp.Rational(A) * sp.sin(sp.Rational(w) * t + sp.Rational(r) * t**2 / 2)
     formulas = [sp.diff(y, t, k) for k in range(ORDER + 1)]
     for time in rng.uniform(0, 10, 5):
         got = REFERENCES["chirp"].evaluate(time, p, ORDER)
@@ -75,7 +75,7 @@ def test_chirp(seed: int) -> None:
             sizes.append(speed * sizes[-1] + k * r * sizes[-2])
         for k, formula in enumerate(formulas):
             exact = float(formula.subs(t, sp.Rational(time)).evalf(30))
-            assert abs(got[k] - exact) <= EPS * (4 * phi + 4 * k + 4) * sizes[k + 1]
+            assert abs(got[k] - exact) <= EPS * ((4 * phi + 4 * k + 4) * sizes[k + 1] + c * (k == 0))
 
 
 def smooth_step(n: int) -> sp.Expr:
@@ -125,6 +125,22 @@ def test_step_rests_before_and_after(n: int) -> None:
         np.testing.assert_array_equal(REFERENCES["step"].evaluate(time, p, n), [0.25, *rest])
     for time in (5.0, 9.0):
         np.testing.assert_array_equal(REFERENCES["step"].evaluate(time, p, n), [-1.25, *rest])
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_scaled(name: str) -> None:
+    """In a plant's units: y_d^(k)(t) = offset (k = 0) + scale rate^k f^(k)(rate t), for the defaults and the drawn ones."""
+    scale, offset, rate = 0.5, 0.25, 2.0  # powers of two: the parameters are scaled exactly
+    family, own = REFERENCES[name], REFERENCES[name].scaled(scale, offset, rate)
+    times = np.linspace(0, 10, 41)
+    pairs = [({}, {})] + [
+        ({k: v[i] for k, v in family.sets.items()}, {k: v[i] for k, v in own.sets.items()}) for i in (0, 1)
+    ]
+    for given, given_own in pairs:
+        f = family.evaluate(rate * times, family.parameters(given), ORDER)
+        got = own.evaluate(times, own.parameters(given_own), ORDER)
+        factors = scale * rate ** np.arange(ORDER + 1)
+        np.testing.assert_allclose(got, f * factors + offset * (np.arange(ORDER + 1) == 0), rtol=1e-12, atol=1e-12)
 
 
 # -- contract over the registry ---------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mfc_gym.flat_system import INPUT_LIMIT, FlatSystem, is_zero, lie
+from mfc_gym.references import REFERENCES
 from mfc_gym.systems.chua import chua
 from mfc_gym.systems.cstr import cstr
 from mfc_gym.systems.duffing import duffing
@@ -76,7 +77,6 @@ CASES = {
     "cstr": Case(cstr, f"be*{R_2}", R_2, "eps_r", "1 + eps_r", 2.0),
 }
 LOCAL = {"magnetic_levitation", "cstr"}
-KEYS = {"constant": {"value"}, "sine": {"amplitude", "frequency", "phase", "offset"}}
 
 every_plant = pytest.mark.parametrize("name", CASES)
 
@@ -294,7 +294,7 @@ def test_task(name: str) -> None:
         assert low < start[0] <= value <= start[1] < high
     assert task.input_limit > 0
     assert task.horizon / task.dt == pytest.approx(round(task.horizon / task.dt), abs=1e-9)
-    assert set(task.reference_parameters) <= KEYS[task.reference]
+    assert task.reference in REFERENCES
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if "chain" not in name])
@@ -308,7 +308,7 @@ def test_task_is_feasible(name: str) -> None:
     box = [task.initial_set[state] for state in system.state]
     corners = np.array(np.meshgrid(*system.theta.values(), *box)).reshape(len(system.theta) + n, -1)
     theta, x = np.split(corners, [len(system.theta)])
-    A, w, phase, offset = (task.reference_parameters[key] for key in ("amplitude", "frequency", "phase", "offset"))
+    A, w, offset = task.reference_scale, task.reference_rate, task.reference_offset
     gains = np.poly(n * [-CASES[name].pole])[:0:-1]
 
     u = sp.Symbol("u", real=True)
@@ -319,7 +319,7 @@ def test_task_is_feasible(name: str) -> None:
 
     def control(t: float, x: Array) -> Array:
         *xi_n, drift, gain = linear(*x, *theta)
-        yd = [(k == 0) * offset + A * w**k * np.sin(w * t + phase + k * np.pi / 2) for k in range(n + 1)]
+        yd = [(k == 0) * offset + A * w**k * np.sin(w * t + k * np.pi / 2) for k in range(n + 1)]
         v = yd[n] - sum(k * (xi - y) for k, xi, y in zip(gains, xi_n, yd[:n], strict=True))
         return np.asarray((v - drift) / gain)
 

@@ -49,8 +49,6 @@ def chua() -> FlatSystem:
             initial_state=(0.5, 0.0, 0.0),
             initial_set={"x1": (-0.5, 0.5), "x2": (-0.2, 0.2), "x3": (-0.5, 0.5)},
             input_limit=100.0,
-            reference="sine",
-            reference_parameters={"amplitude": 1.0, "frequency": 1.0, "phase": 0.0, "offset": 0.0},
             horizon=20.0,
             dt=0.005,
         ),

@@ -41,8 +41,6 @@ def van_der_pol() -> FlatSystem:
             initial_state=(1.0, 0.0),
             initial_set={"x1": (-1.0, 1.0), "x2": (-1.0, 1.0)},
             input_limit=50.0,
-            reference="sine",
-            reference_parameters={"amplitude": 1.0, "frequency": 1.0, "phase": 0.0, "offset": 0.0},
             horizon=20.0,
             dt=0.01,
         ),
