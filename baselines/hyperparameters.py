@@ -31,13 +31,13 @@ class Hyperparameters:
 
 OFF_POLICY: dict[str, Any] = {
     "gamma": 0.98,
-    "tau": 0.01,
     "buffer_size": 300_000,
     "learning_starts": 8_000,
-    "batch_size": 256,
+    "batch_size": 512,
     "train_freq": 1,  # steps of the vector environment
     "gradient_steps": 4,
 }
+FUSED: dict[str, Any] = {"optimizer_kwargs": {"fused": True}}  # Adam in one call: a third of a small network's update
 
 HYPERPARAMETERS: dict[str, Hyperparameters] = {
     "ppo": Hyperparameters(
@@ -52,14 +52,15 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
         log_std=(-1.0, -1.5),
     ),
     "sac": Hyperparameters(
-        timesteps=300_000,
-        segment=8_000,
-        num_envs=16,
-        learning_rate=7e-4,
+        timesteps=640_000,
+        segment=32_000,
+        num_envs=64,
+        learning_rate=1e-3,
         falling=True,
         activation="relu",
         hidden=(64, 64),
-        options=OFF_POLICY | {"target_entropy": -3.0},
+        options=OFF_POLICY | {"tau": 0.02, "ent_coef": "auto_0.003", "target_entropy": -0.7},
+        policy=FUSED,
     ),
     "td3": Hyperparameters(
         timesteps=300_000,
