@@ -97,7 +97,7 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
 
 # by environment id and algorithm: the fields that differ from the algorithm's entry; mappings are merged
 PLANTS: dict[str, dict[str, dict[str, Any]]] = {
-    "mfc_gym/TwoMassSpring-v0": {"ppo": {"timesteps": 3_014_656}},  # a state more, and lightly damped
+    "mfc_gym/TwoMassSpring-v0": {"ppo": {"timesteps": 3_014_656}},  # four states, no damping
 }
 
 

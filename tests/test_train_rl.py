@@ -19,6 +19,7 @@ pytest.importorskip("sb3_contrib")
 
 import baselines  # noqa: E402
 from baselines.agent_files import load_agent  # noqa: E402
+from baselines.checkpoint import BUFFER  # noqa: E402
 from baselines.hyperparameters import HYPERPARAMETERS  # noqa: E402
 from baselines.learner import TRAINING  # noqa: E402
 from baselines.training import VALIDATION, Plan, Training, train  # noqa: E402
@@ -90,9 +91,13 @@ def test_resumed_training_is_the_uninterrupted_one(algorithm: str, short: None, 
     resumed = train(plan, tmp_path / "resumed", resume=True)
     assert without_time(resumed.curve) == without_time(whole.curve)
     assert [row["timesteps"] for row in resumed.curve] == [512, 1024, 1536, 2048]
+    if algorithm != "ppo":
+        one, other = whole.model.replay_buffer, resumed.model.replay_buffer
+        assert (one.pos, one.full) == (other.pos, other.full)
+        assert all(np.array_equal(getattr(one, array), getattr(other, array)) for array in BUFFER)
     for name in ("best", "last"):
-        one, other = (load_agent(tmp_path / run / name) for run in ("whole", "resumed"))
-        for (w, b), (v, c) in zip(one.layers, other.layers, strict=True):
+        agents = [load_agent(tmp_path / run / name) for run in ("whole", "resumed")]
+        for (w, b), (v, c) in zip(*(agent.layers for agent in agents), strict=True):
             assert np.array_equal(w, v)
             assert np.array_equal(b, c)
 
