@@ -198,9 +198,10 @@ def test_an_agent_runs_as_any_policy(short: None, tmp_path: Path) -> None:
     assert agent.environment["options"] == OPTIONS
 
 
-def test_the_shipped_agent_does_what_is_said_of_it() -> None:
-    """Median tail RMS of at most 3e-3 and no escape at 50 Hz; the document says 1.7e-3 over 1000 episodes."""
-    agent = load_agent(ROOT / "agents" / "ppo-perturbed-chain", "ppo")
+@pytest.mark.parametrize(("name", "tail"), [("ppo-perturbed-chain", 2.3e-3), ("ppo-two-mass-spring", 0.016)])
+def test_the_shipped_agents_do_what_is_said_of_them(name: str, tail: float) -> None:
+    """No escape at 50 Hz, and a median tail RMS of at most 4/3 of what the document says of 1000 episodes."""
+    agent = load_agent(ROOT / "agents" / name, "ppo")
     found = Evaluation(agent.environment["id"], agent.environment["options"], episodes=200, seed=0)(agent)
     assert found["escaped"] == 0
-    assert found["tail_rms"] < 3e-3
+    assert found["tail_rms"] < tail
