@@ -37,6 +37,8 @@ OFF_POLICY: dict[str, Any] = {
     "train_freq": 1,  # steps of the vector environment
     "gradient_steps": 4,
 }
+TAU: dict[str, Any] = {"tau": 0.01}  # CrossQ has no target networks
+ENTROPY: dict[str, Any] = {"ent_coef": "auto_0.01", "target_entropy": -0.5}
 FUSED: dict[str, Any] = {"optimizer_kwargs": {"fused": True}}  # Adam in one call: a third of a small network's update
 
 HYPERPARAMETERS: dict[str, Hyperparameters] = {
@@ -52,46 +54,49 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
         log_std=(-1.0, -1.5),
     ),
     "sac": Hyperparameters(
-        timesteps=640_000,
+        timesteps=1_024_000,
         segment=32_000,
         num_envs=64,
-        learning_rate=1e-3,
+        learning_rate=7e-4,
         falling=True,
         activation="relu",
         hidden=(64, 64),
-        options=OFF_POLICY | {"tau": 0.02, "ent_coef": "auto_0.003", "target_entropy": -0.7},
+        options=OFF_POLICY | TAU | ENTROPY,
         policy=FUSED,
     ),
     "td3": Hyperparameters(
-        timesteps=300_000,
-        segment=8_000,
-        num_envs=16,
+        timesteps=1_280_000,
+        segment=32_000,
+        num_envs=64,
         learning_rate=7e-4,
         falling=True,
         activation="relu",
         hidden=(64, 64),
-        options=OFF_POLICY | {"target_policy_noise": 0.02, "target_noise_clip": 0.05},
-        noise=0.05,
+        options=OFF_POLICY | TAU | {"target_policy_noise": 0.1, "target_noise_clip": 0.2},
+        policy=FUSED,
+        noise=0.2,
     ),
     "tqc": Hyperparameters(
-        timesteps=300_000,
-        segment=8_000,
-        num_envs=16,
+        timesteps=640_000,
+        segment=32_000,
+        num_envs=64,
         learning_rate=7e-4,
         falling=True,
         activation="relu",
         hidden=(64, 64),
-        options=OFF_POLICY | {"target_entropy": -3.0},
+        options=OFF_POLICY | TAU | ENTROPY | {"top_quantiles_to_drop_per_net": 1},
+        policy=FUSED | {"n_quantiles": 10},
     ),
     "crossq": Hyperparameters(
-        timesteps=200_000,
-        segment=8_000,
-        num_envs=16,
-        learning_rate=1e-3,
+        timesteps=320_000,
+        segment=32_000,
+        num_envs=64,
+        learning_rate=7e-4,
         falling=True,
         activation="relu",
         hidden=(64, 64),
-        options={k: v for k, v in OFF_POLICY.items() if k != "tau"} | {"target_entropy": -3.0},
+        options=OFF_POLICY | ENTROPY,
+        policy=FUSED,
     ),
 }
 
