@@ -12,14 +12,14 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 
 from baselines import checkpoint, learner
 from baselines.agent_files import save_agent
-from baselines.hyperparameters import HYPERPARAMETERS, Hyperparameters
+from baselines.hyperparameters import Hyperparameters, hyperparameters
 from baselines.policy_network import Agent, Features
 from baselines.provenance import provenance
 from baselines.sb3_weights import agent_of
-from baselines.training_env import features
+from baselines.training_env import SCALING, features
 from baselines.validation import Evaluation, Row
 
-SCALING, VALIDATION = 2**29, 2**30  # first seeds, below `learner.TRAINING`; those below both are left for tests
+VALIDATION = 2**30  # first seed, between `training_env.SCALING` and `learner.TRAINING`; those below all are left for tests
 CHECKPOINT = "checkpoint.pt"
 
 
@@ -37,8 +37,8 @@ class Plan:
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """The table's entry."""
-        return HYPERPARAMETERS[self.algorithm]
+        """The table's entry for the algorithm on the plant."""
+        return hyperparameters(self.algorithm, self.env)
 
 
 class Training:

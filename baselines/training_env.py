@@ -23,6 +23,7 @@ BORDER = 5.0  # times the largest cost, at the border; it falls to 0 at INNER, r
 INNER = 0.6
 KNEE = 20.0  # cost over precision above which the shape is linear rather than logarithmic
 EPISODES = 64  # of the reference policy, which set the scale
+SCALING = 2**29  # their first seed
 
 
 def features(id: str, options: Mapping[str, Any], seed: int) -> Features:
@@ -38,6 +39,13 @@ def features(id: str, options: Mapping[str, Any], seed: int) -> Features:
     mean, deviation = np.nanmean(seen, axis=0), np.nanstd(seen, axis=0)
     scale = np.where(deviation > 1e-6 * deviation.max(), deviation, 1.0)  # a constant entry has no scale of its own
     return Features(matrix / scale[:, None], -mean / scale)
+
+
+def scaled(venv: VecEnv, gamma: float, horizon: float) -> "TrainingEnv":
+    """What `baselines.rl_zoo3` asks of rl_zoo3: the training environment over scalar ones, scaled by episodes of `horizon`, s."""
+    (spec,), (simulation,) = venv.get_attr("spec", 0), venv.get_attr("simulation", 0)
+    options = {k: v for k, v in spec.kwargs.items() if k != "render_mode"} | {"horizon": horizon}
+    return TrainingEnv(venv, features(spec.id, options, SCALING), gamma, simulation)
 
 
 def shape(z: Any) -> Any:

@@ -17,7 +17,7 @@ from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeR
 import mfc_gym  # noqa: F401 (registers the environments)
 from baselines import command_line
 from baselines.evaluation import writable
-from baselines.hyperparameters import HYPERPARAMETERS
+from baselines.hyperparameters import HYPERPARAMETERS, hyperparameters
 
 try:
     import torch
@@ -36,17 +36,17 @@ class Arguments:
     env: str = "mfc_gym/PerturbedChain-v0"
     """Environment id"""
     timesteps: int | None = None
-    """Steps of all environments together; left out: the algorithm's own number"""
+    """Steps of all environments together; left out: the table's"""
     seed: int = 0
     """Seed of the networks, the exploration and the training's episodes"""
     scenario: str = "random"
     """Theta, initial state and reference drawn at random ("random"), or the plant's own fixed episode ("paper")"""
     reference: str | None = None
     """Name of the reference; left out: the plant's own"""
-    dt: float | None = 0.02
-    """Sampling time in s"""
-    horizon: float | None = 10.0
-    """Length of an episode in s"""
+    dt: float | None = None
+    """Sampling time in s; left out: the table's, 0.02 for most plants"""
+    horizon: float | None = None
+    """Length of an episode in s; left out: the table's, 10 for most plants"""
     input_limit: float | None = None
     """Bound of the input"""
     order: int | None = None
@@ -67,7 +67,8 @@ def plan(args: Arguments) -> Plan:
     """The training the arguments describe. Raises ValueError for arguments that cannot work."""
     if args.algorithm not in HYPERPARAMETERS:
         raise ValueError(f"`algorithm` must be one of {', '.join(HYPERPARAMETERS)}, got {args.algorithm}.")
-    timesteps = HYPERPARAMETERS[args.algorithm].timesteps if args.timesteps is None else args.timesteps
+    given = hyperparameters(args.algorithm, args.env)
+    timesteps = given.timesteps if args.timesteps is None else args.timesteps
     for name, value in (("timesteps", timesteps), ("episodes", args.episodes), ("threads", args.threads)):
         if value < 1:
             raise ValueError(f"`{name}` must be at least 1, got {value}.")
@@ -76,7 +77,7 @@ def plan(args: Arguments) -> Plan:
     if args.patience is not None and args.patience < 1:
         raise ValueError(f"`patience` must be at least 1, got {args.patience}.")
     names = ("scenario", "reference", "dt", "horizon", "input_limit", "order")
-    options = {name: value for name in names if (value := getattr(args, name)) is not None}
+    options = {**given.environment, **{name: value for name in names if (value := getattr(args, name)) is not None}}
     return Plan(args.algorithm, args.env, options, args.seed, timesteps, args.episodes, args.patience)
 
 

@@ -19,9 +19,11 @@ pytest.importorskip("sb3_contrib")
 
 import baselines  # noqa: E402
 from baselines.agent_files import load_agent  # noqa: E402
+from baselines.checkpoint import BUFFER  # noqa: E402
 from baselines.hyperparameters import HYPERPARAMETERS  # noqa: E402
 from baselines.learner import TRAINING  # noqa: E402
-from baselines.training import SCALING, VALIDATION, Plan, Training, train  # noqa: E402
+from baselines.training import VALIDATION, Plan, Training, train  # noqa: E402
+from baselines.training_env import SCALING  # noqa: E402
 from baselines.validation import Evaluation, Row  # noqa: E402
 from scripts import train_rl  # noqa: E402
 
@@ -89,9 +91,13 @@ def test_resumed_training_is_the_uninterrupted_one(algorithm: str, short: None, 
     resumed = train(plan, tmp_path / "resumed", resume=True)
     assert without_time(resumed.curve) == without_time(whole.curve)
     assert [row["timesteps"] for row in resumed.curve] == [512, 1024, 1536, 2048]
+    if algorithm != "ppo":
+        one, other = whole.model.replay_buffer, resumed.model.replay_buffer
+        assert (one.pos, one.full) == (other.pos, other.full)
+        assert all(np.array_equal(getattr(one, array), getattr(other, array)) for array in BUFFER)
     for name in ("best", "last"):
-        one, other = (load_agent(tmp_path / run / name) for run in ("whole", "resumed"))
-        for (w, b), (v, c) in zip(one.layers, other.layers, strict=True):
+        agents = [load_agent(tmp_path / run / name) for run in ("whole", "resumed")]
+        for (w, b), (v, c) in zip(*(agent.layers for agent in agents), strict=True):
             assert np.array_equal(w, v)
             assert np.array_equal(b, c)
 
@@ -192,9 +198,10 @@ def test_an_agent_runs_as_any_policy(short: None, tmp_path: Path) -> None:
     assert agent.environment["options"] == OPTIONS
 
 
-def test_the_shipped_agent_does_what_is_said_of_it() -> None:
-    """Median tail RMS of at most 3e-3 and no escape at 50 Hz; the document says 1.7e-3 over 1000 episodes."""
-    agent = load_agent(ROOT / "agents" / "ppo-perturbed-chain", "ppo")
+@pytest.mark.parametrize(("name", "tail"), [("ppo-perturbed-chain", 2.3e-3), ("ppo-two-mass-spring", 0.016)])
+def test_the_shipped_agents_do_what_is_said_of_them(name: str, tail: float) -> None:
+    """No escape at 50 Hz, and a median tail RMS of at most 4/3 of what the document says of 1000 episodes."""
+    agent = load_agent(ROOT / "agents" / name, "ppo")
     found = Evaluation(agent.environment["id"], agent.environment["options"], episodes=200, seed=0)(agent)
     assert found["escaped"] == 0
-    assert found["tail_rms"] < 3e-3
+    assert found["tail_rms"] < tail
