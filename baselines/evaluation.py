@@ -124,17 +124,17 @@ def run(
     exact: int = 0,
     progress: Callable[[], object] = lambda: None,
 ) -> Result:
-    """The episodes of these seeds; for the first `exact` of them also the control variation over the exact solution's."""
+    """The episodes of these seeds; the first `exact` also with the control's variation over the exact one's."""
     simulation: Any = env.unwrapped.simulation  # type: ignore[attr-defined]
     episodes: list[dict[str, float]] = []
-    first = None
+    first, count = None, 0 if simulation.driving.moves else exact
     for i, seed in enumerate(seeds):
         trajectory = rollout(env, one.policy, seed=seed)
         first = first or trajectory
         metrics = evaluate(trajectory, simulation.input_limit, simulation.horizon)
         if i == 0:
             metrics["step_time"] = step_time(one.policy, env, seed)
-        if i < exact and isinstance(one.policy, LyapunovRedesign) and not trajectory.terminated:
+        if i < count and isinstance(one.policy, LyapunovRedesign) and not trajectory.terminated:
             solution = filippov(env, one.policy, seed=seed)
             if not solution.terminated:
                 metrics["variation_ratio"] = metrics["total_variation"] / total_variation(solution)

@@ -195,6 +195,10 @@ def filippov(
         raise ValueError(
             f"`controller` must be made for this environment's plant, got one for {controller.nominal.name!r}."
         )
+    if env.unwrapped.simulation.driving.moves:
+        raise ValueError(
+            "`env` must have constant theta and an ideal actuator for the exact solution, got some that move."
+        )
     observation, _ = env.reset(seed=seed, options=options)
     plain, simulation = env.unwrapped, env.unwrapped.simulation
     kernel = closed_loop.load(simulation.plant, simulation.reference, controller)

@@ -92,6 +92,7 @@ def plant_source(system: FlatSystem) -> str:
         [
             HEADER,
             f"\nNAME = {system.name!r}\nSTATE = {tuple(system.state)!r}\nTHETA = {tuple(system.theta)!r}\n",
+            f"DECLARED = {len(system.gate.theta)}\n",
             f"THETA_LOW = {tuple(float(low) for low, _ in system.theta.values())!r}\n",
             f"THETA_HIGH = {tuple(float(high) for _, high in system.theta.values())!r}\n",
             f"TASK = {system.task!r}\n",
@@ -115,6 +116,12 @@ def plant_source(system: FlatSystem) -> str:
                 arguments,
                 rename([system.Delta_1, system.Delta_3, system.phi_m]),
                 "Delta_1, Delta_3, phi_m.",
+            ),
+            function(
+                "admissibility",
+                arguments,
+                rename([system.gate.Delta_3, complete_bounds(system.gate)["delta_3"], system.Delta_3]),
+                "Delta_3 and delta_3 that say which theta are admissible, and Delta_3 itself.",
             ),
             _integrator(x, theta),
             "\n\n@njit(cache=True, nogil=True)\ndef integrate_at(x, theta, u, h, substeps, low, high):\n"

@@ -73,15 +73,33 @@ def derive_bounds(system: FlatSystem) -> dict[str, sp.Expr]:
 
 def _derived(u: Uncertainty, name: str, known: Mapping[str, sp.Expr]) -> sp.Expr:
     numerator, denominator = u.quotient(name)
-    if denominator == 1 or u.uniform:
-        bound = triangle_bound(numerator, u.theta, denominator)
-        if bound is not None and (name != "delta_3" or enclose(bound, u.region, budget=BUDGET // 10)[1] < 1):
+    if name == "delta_3":
+        bound = triangle_bound(numerator, u.theta)
+        if bound is not None and enclose(bound, u.region, budget=BUDGET // 10)[1] < 1:
             return bound
-    if denominator != 1:
-        return known[f"delta_{name[-1]}"] / u.least_gain(known["delta_3"])
-    low, high = (
-        u.range_3 if name == "delta_3" else enclose(numerator, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4)
-    )
+        return _finite(name, u.range_3)
+    if denominator == 1:
+        return bound_of(u, name, numerator)
+    bound = triangle_bound(numerator, u.theta, denominator) if u.uniform else None
+    return known[f"delta_{name[-1]}"] / u.least_gain(known["delta_3"]) if bound is None else bound
+
+
+def bound_of(u: Uncertainty, name: str, expression: sp.Expr) -> sp.Expr:
+    """Bound of abs(expression), function of the state or constant; ValueError about `name` if there is none."""
+    bound = triangle_bound(expression, u.theta)
+    if bound is not None:
+        return bound
+    return _finite(name, enclose(expression, u.box, where=u.where, tolerance=0.01, budget=BUDGET // 4))
+
+
+def sharp_bound_of(u: Uncertainty, name: str, expression: sp.Expr, delta_3: sp.Expr) -> sp.Expr:
+    """The same of abs(expression) / (1 + Delta_3)."""
+    bound = triangle_bound(expression, u.theta, 1 + u.Delta_3) if u.uniform else None
+    return bound_of(u, name, expression) / u.least_gain(delta_3) if bound is None else bound
+
+
+def _finite(name: str, ends: tuple[float, float]) -> sp.Expr:
+    low, high = ends
     if not max(-low, high) < inf:
         raise ValueError(f"`bounds` must give {name}: what it bounds could not be enclosed over region and theta.")
     return round_up(max(-low, high))
@@ -116,7 +134,7 @@ def _check_default_theta(u: Uncertainty) -> None:
 
 
 def _verdict(u: Uncertainty, name: str, bound: sp.Expr, rng: np.random.Generator, budget: int) -> Verdict:
-    if name == "delta_3" and u.uniform:
+    if name == "delta_3" and u.is_gate:
         return Verdict("proved", 0.0)  # it is what makes a theta admissible
     numerator, denominator = u.quotient(name)
     tolerance = TOLERANCE * max(1.0, _attained(bound, u.region))

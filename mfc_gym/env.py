@@ -57,8 +57,12 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     @property
     def theta(self) -> Array:
-        """The true uncertain parameters of this episode, shape (p,)."""
+        """The true uncertain parameters now, shape (p,); setting them changes the plant at once, also within an episode."""
         return self.simulation.row_theta(self._episode()).copy()
+
+    @theta.setter
+    def theta(self, theta: Any) -> None:
+        self.simulation.set_theta(self.rows, theta)
 
     @property
     def reference_parameters(self) -> Array:

@@ -63,10 +63,12 @@ class FlatSystem:
     h: Expression
     Delta: tuple[Expression, ...]
     parameters: Mapping[str, float] = field(default_factory=dict)  # known constants
-    theta: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # uncertain constants and their intervals
+    theta: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # uncertain parameters and their intervals
+    rates: Mapping[str, str] = field(default_factory=dict)  # theta that move in time -> the theta that is their rate
     region: Mapping[str, tuple[Expression, Expression]] = field(default_factory=dict)  # operating region
     bounds: Mapping[str, Expression] = field(default_factory=dict)  # of the uncertainty, see `mfc_gym.nominal`
     task: Task = field(default_factory=Task)
+    origin: "FlatSystem | None" = None  # of which this is a variation, see `mfc_gym.variation`
 
     def __post_init__(self) -> None:
         n = len(self.state)
@@ -121,6 +123,8 @@ class FlatSystem:
         return expression.subs(real)
 
     def _check_intervals(self) -> None:
+        if extra := ({*self.rates, *self.rates.values()}) - set(self.theta):
+            raise ValueError(f"`rates` may have the entries {tuple(self.theta)}, got {sorted(extra)}.")
         for name, ends in self.theta.items():
             if len(ends) != 2 or not all(map(_is_finite, ends)) or not ends[0] <= ends[1]:
                 raise ValueError(f"`theta` must map names to intervals (low, high), got {name}: {ends!r}.")
@@ -149,16 +153,16 @@ class FlatSystem:
 
     # -- what the nominal model says ----------------------------------------------------------------------------------
 
-    def _lie_series(self, field: tuple[sp.Expr, ...]) -> tuple[sp.Expr, ...]:
+    def _lie_series(self, field: tuple[sp.Expr, ...], variables: tuple[sp.Symbol, ...]) -> tuple[sp.Expr, ...]:
         series = [self.h]
         for _ in range(self.order):
-            series.append(lie(field, series[-1], self.x))
+            series.append(lie(field, series[-1], variables))
         return tuple(series)
 
     @cached_property
     def lie_f(self) -> tuple[sp.Expr, ...]:
         """(h, L_f h, ..., L_f^n h)."""
-        return self._lie_series(self.f)
+        return self._lie_series(self.f, self.x)
 
     @property
     def tau(self) -> tuple[sp.Expr, ...]:
@@ -177,10 +181,20 @@ class FlatSystem:
 
     # -- what the uncertainty makes of it -----------------------------------------------------------------------------
 
+    @property
+    def text(self) -> str:
+        """All that the system is made of; equal texts are equal systems."""
+        expressions = (self.f, self.g, self.h, self.Delta, tuple(self.region.items()), tuple(self.bounds.items()))
+        plain = (self.name, self.state, dict(self.theta), dict(self.rates), self.task)
+        return repr(plain) + sp.srepr(expressions)
+
     @cached_property
     def lie_f_Delta(self) -> tuple[sp.Expr, ...]:
-        """(h, L_(f+Delta) h, ..., L_(f+Delta)^n h)."""
-        return self._lie_series(tuple(a + b for a, b in zip(self.f, self.Delta, strict=True)))
+        """(h, L_(f+Delta) h, ..., L_(f+Delta)^n h): the derivatives of y for u = 0, theta moving at its `rates`."""
+        drift = (a + b for a, b in zip(self.f, self.Delta, strict=True))
+        symbol = dict(zip(self.theta, self.theta_symbols, strict=True))
+        rates = (symbol[name] for name in self.rates.values())
+        return self._lie_series((*drift, *rates), (*self.x, *(symbol[name] for name in self.rates)))
 
     @property
     def tau_n(self) -> tuple[sp.Expr, ...]:
@@ -211,6 +225,11 @@ class FlatSystem:
     def Delta_3(self) -> sp.Expr:
         """Delta_2 normalised by the nominal input gain."""
         return sp.cancel(self.Delta_2 / self.beta) if self.Delta_2.is_rational_function() else self.Delta_2 / self.beta
+
+    @property
+    def gate(self) -> "FlatSystem":
+        """The system whose Delta_3 and delta_3 say which theta are admissible: the origin of a variation, else this one."""
+        return self if self.origin is None else self.origin.gate
 
     @property
     def decomposition(self) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:

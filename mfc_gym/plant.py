@@ -4,7 +4,7 @@ import importlib
 import importlib.util
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property, partial
 from pathlib import Path
 from types import ModuleType
@@ -25,8 +25,31 @@ GENERATORS = (  # the modules that take part in writing kernels
     *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity"),
     *("enclosure", "interval", "interval_function", "branch_and_bound"),
     *("domain", "falsification", "termwise", "triangle", "uncertainty"),
-    *("plant_entries", "toml_lines"),
+    *("plant_entries", "toml_lines", "variation"),
 )
+OWN: dict[str, "FlatSystem"] = {}  # the plants of `mfc_gym.register_system` by name
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How the uncertainty of a plant is varied, plain data; the default is not at all. See `mfc_gym.variation`."""
+
+    unmatchedness: float = 1.0
+    moving: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # theta -> bounds of its rates, k = 1 ...
+    disturbances: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # channel -> bounds of d^(k), k = 0 ...
+
+
+PLAIN = Variation()
+
+
+def rate_name(name: str, k: int) -> str:
+    """Name of the k-th derivative of a theta."""
+    return f"{name}_t{k}" if k else name
+
+
+def disturbance_name(channel: str) -> str:
+    """Name of the theta that a disturbance is."""
+    return f"d_{channel}"
 
 
 @dataclass(frozen=True)
@@ -37,6 +60,7 @@ class Plant:
     options: Mapping[str, Any]
     kernel: ModuleType
     nominal: ModuleType
+    variation: Variation
 
     @property
     def order(self) -> int:
@@ -48,13 +72,24 @@ class Plant:
 
     @property
     def theta(self) -> tuple[str, ...]:
-        """Names of the uncertain parameters."""
+        """Names of the declared uncertain parameters, p of them."""
+        return self.parameters[: self.kernel.DECLARED]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all uncertain parameters: the declared ones, then disturbances and rates of what moves."""
         return tuple(self.kernel.THETA)
+
+    @property
+    def parameter_set(self) -> tuple[Array, Array]:
+        """(low, high) of the sets of all uncertain parameters."""
+        return np.array(self.kernel.THETA_LOW), np.array(self.kernel.THETA_HIGH)
 
     @property
     def theta_set(self) -> tuple[Array, Array]:
         """(low, high) of the declared set, each of shape (p,)."""
-        return np.array(self.kernel.THETA_LOW), np.array(self.kernel.THETA_HIGH)
+        low, high = self.parameter_set
+        return low[: len(self.theta)], high[: len(self.theta)]
 
     @property
     def task(self) -> Task:
@@ -68,7 +103,7 @@ class Plant:
     @cached_property
     def system(self) -> "FlatSystem":
         """The equations themselves (imports SymPy)."""
-        return build_system(self.name, self.options)
+        return _vary(build_system(self.name, self.options), self.variation)
 
 
 def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
@@ -76,6 +111,10 @@ def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
 
     Raises ValueError for an unknown name or options the plant does not take.
     """
+    if name in OWN:
+        if options:
+            raise ValueError(f"a registered system takes no options, got {sorted(options)}.")
+        return OWN[name]
     if name.endswith(".toml"):
         from mfc_gym.plant_file import load_plant
 
@@ -93,13 +132,15 @@ def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
     return system
 
 
-def load(name: str, **options: Any) -> Plant:
-    """The plant `name` with its kernels, compiled or from the cache. Raises ValueError if there is no such plant."""
+def load(name: str, variation: Variation = PLAIN, **options: Any) -> Plant:
+    """The plant `name`, varied, with its kernels compiled or from the cache. Raises ValueError if there is no such plant."""
     here = Path(__file__)
     sources = [p for p in (here.with_name(f"{module}.py") for module in GENERATORS) if p.exists()]
     sources += sorted(here.with_name("systems").glob("*.py"))
     text = ""
-    if str(name).endswith(".toml"):
+    if name in OWN:
+        text = OWN[name].text
+    elif str(name).endswith(".toml"):
         path = Path(name)
         if not path.is_file():
             raise ValueError(f"`system` must be a plant file or a registered name, there is no file {name!r}.")
@@ -111,26 +152,35 @@ def load(name: str, **options: Any) -> Plant:
         given = json.dumps(options, sort_keys=True)
     except (TypeError, ValueError) as error:
         raise ValueError(f"options of the system must be numbers, strings, lists or dicts, got {options}.") from error
-    hashed = kernels.key(kernels.fingerprint(*sources), name, given, text)
+    varied = json.dumps(asdict(variation), sort_keys=True)
+    hashed = kernels.key(kernels.fingerprint(*sources), name, given, text, varied)
 
     @cache
     def system() -> "FlatSystem":
-        return build_system(name, options)
+        return _vary(build_system(name, options), variation)
 
     def source(kind: str) -> str:
         from mfc_gym import code_generation
 
         return getattr(code_generation, f"{kind}_source")(system())
 
-    modules = [kernels.load(f"mfc_{kind}_{hashed}", partial(source, kind)) for kind in ("plant", "nominal")]
-    return Plant(name, options, *modules)
+    kernel, nominal = (kernels.load(f"mfc_{kind}_{hashed}", partial(source, kind)) for kind in ("plant", "nominal"))
+    return Plant(name, options, kernel, nominal, variation)
+
+
+def _vary(system: "FlatSystem", variation: Variation) -> "FlatSystem":
+    if variation == PLAIN:
+        return system
+    from mfc_gym.variation import varied
+
+    return varied(system, variation)
 
 
 def _location(name: str) -> str:
     location = SYSTEMS.get(name, name) if isinstance(name, str) else ""
     if ":" not in location:
         raise ValueError(
-            f"`system` must be one of {sorted(SYSTEMS)}, a module:attribute or a .toml file, got {name!r}."
+            f"`system` must be one of {sorted([*SYSTEMS, *OWN])}, a module:attribute or a .toml file, got {name!r}."
         )
     return location
 

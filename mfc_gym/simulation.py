@@ -1,16 +1,16 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import observation, plant, references, sensors, stepping
+from mfc_gym import driving, observation, plant, references, sensors, stepping
+from mfc_gym.actuator import Actuator
+from mfc_gym.checks import mapping, one_of, positive, vector
 from mfc_gym.differentiators import DIFFERENTIATORS
 from mfc_gym.nominal import NominalModel
 from mfc_gym.reward import COSTS
@@ -21,6 +21,12 @@ from mfc_gym.substeps import choose_substeps
 Array = NDArray[np.float64]
 Indices = Sequence[int] | NDArray[np.intp]
 SCENARIOS = ("paper", "random")
+UNCERTAINTY = {  # of the distance of the declared set from the nominal theta, the nearest to 0
+    "nominal": 0.0,
+    "mild": 0.5,
+    "hard": 1.0,  # all that the bounds cover
+    "beyond": 1.5,  # only what the bounds do not cover
+}
 DERIVATIVES = ("exact", *DIFFERENTIATORS)
 RESET_OPTIONS = ("initial_state", "theta", "reference_parameters", "initial_estimate")
 TABULATED = 20_000  # samples of the reference that are kept, at most
@@ -33,7 +39,12 @@ class Settings:
 
     system: str = "PerturbedChain"
     scenario: str = "paper"
+    uncertainty: str = "hard"  # how far theta lies from its nominal value, see UNCERTAINTY
+    unmatchedness: float = 1.0  # 0: the same size of uncertainty enters where the input does, see `mfc_gym.variation`
     theta: tuple[float, ...] | None = None
+    schedule: Mapping[str, Any] | None = None  # theta -> {"wave": of `mfc_gym.waves`, its parameters}, added to it
+    disturbance: Mapping[str, Any] | None = None  # "u" or a state -> the same, added to that row of x'
+    actuator: Mapping[str, Any] | None = None  # see `mfc_gym.actuator.Actuator`
     initial_state: tuple[float, ...] | None = None
     reference: str | None = None
     reference_parameters: Mapping[str, float] | None = None
@@ -55,19 +66,17 @@ class Simulation:
 
     def __init__(self, given: Settings, options: Mapping[str, Any]) -> None:
         self._made_from = (given, options)
-        _one_of("scenario", given.scenario, SCENARIOS)
-        _one_of("derivatives", given.derivatives, DERIVATIVES)
-        _one_of("cost", given.cost, COSTS)
-        self.plant = plant.load(given.system, **options)
+        one_of("scenario", given.scenario, SCENARIOS)
+        one_of("derivatives", given.derivatives, DERIVATIVES)
+        one_of("cost", given.cost, COSTS)
+        one_of("uncertainty", given.uncertainty, UNCERTAINTY)
+        self.plant, self.dt, self.driving = _varied(given, options)
         task = self.plant.task
         self.scenario = given.scenario
-        self.dt = _positive("dt", task.dt if given.dt is None else given.dt)
-        self.horizon = _positive("horizon", task.horizon if given.horizon is None else given.horizon)
-        self.input_limit = _positive(
-            "input_limit", task.input_limit if given.input_limit is None else given.input_limit
-        )
-        cost_max = _positive("cost_max", task.cost_max if given.cost_max is None else given.cost_max)
-        effort = _positive("effort", given.effort, or_zero=True)
+        self.horizon = positive("horizon", task.horizon if given.horizon is None else given.horizon)
+        self.input_limit = positive("input_limit", task.input_limit if given.input_limit is None else given.input_limit)
+        cost_max = positive("cost_max", task.cost_max if given.cost_max is None else given.cost_max)
+        effort = positive("effort", given.effort, or_zero=True)
         self.steps = round(min(self.horizon / self.dt, 1e15))  # beyond, a float no longer counts every step
         if self.steps < 1 or abs(self.steps * self.dt - self.horizon) > 1e-9 * self.horizon:
             raise ValueError(f"`horizon` must be a multiple of `dt`, got horizon = {self.horizon} and dt = {self.dt}.")
@@ -75,37 +84,40 @@ class Simulation:
         units = task.reference_scale, task.reference_offset, task.reference_rate
         self.reference = references.get(name).scaled(*units)
         own = task.reference_parameters if given.reference in (None, task.reference) else {}
-        self.reference_parameters = dict(own) | _dict("reference_parameters", given.reference_parameters)
+        self.reference_parameters = dict(own) | mapping("reference_parameters", given.reference_parameters)
         parameters = self.reference.parameters(self.reference_parameters)
         self.sensors, tuning = _measurement(given)
-        self.kernel = stepping.load(self.plant, self.reference, given.cost, self.sensors, given.derivatives)
+        self.kernel = stepping.load(
+            self.plant, self.reference, given.cost, self.sensors, given.derivatives, self.driving
+        )
         self.low, self.high = self.plant.region(self.input_limit)
         noise = 0.0 if self.sensors is None else self.sensors.noise
         poles = (task.model_pole, task.process_pole)
         self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, *poles, given.derivatives, noise)
         p = len(self.plant.theta)
-        low, high = self.plant.theta_set
-        middle = tuple((low + high) / 2) if task.theta is None else task.theta
-        self.theta = _vector("theta", middle if given.theta is None else given.theta, p)
+        self.beyond = given.uncertainty == "beyond"
+        self.theta_set, usual = self._theta_of(UNCERTAINTY[given.uncertainty])
+        self.theta = vector("theta", usual if given.theta is None else given.theta, p)
         origin = (0.0,) * self.plant.order if task.initial_state is None else task.initial_state
-        self.initial_state = _vector(
+        self.initial_state = vector(
             "initial_state", origin if given.initial_state is None else given.initial_state, self.plant.order
         )
+        rest = np.zeros(len(self.plant.parameters) - p)
         memory = np.full(stepping.sensor_memory(self.plant.order, self.sensors), np.nan)
-        self._start = np.concatenate([self.initial_state, self.theta, parameters, memory, [0.0]])
+        moving = np.zeros(self.driving.memory)
+        self._start = np.concatenate([self.initial_state, self.theta, rest, parameters, memory, moving, [0.0]])
         self._check(self._start[None])
         self._drawn = self._sets(given)
         if given.substeps is None:
-            self.substeps = choose_substeps(
-                self.plant, self.dt, self.input_limit, _positive("tolerance", given.tolerance)
-            )
+            tolerance = positive("tolerance", given.tolerance)
+            count = choose_substeps(self.plant, self.parameter_set, self.dt, self.input_limit, tolerance)
+            self.substeps = max(count, self.driving.substeps(self.dt))
         elif isinstance(given.substeps, int) and not isinstance(given.substeps, bool) and given.substeps >= 1:
             self.substeps = given.substeps
         else:
             raise ValueError(f"`substeps` must be an integer >= 1, got {given.substeps!r}.")
-        self.settings = np.array(
-            [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort, *self.low, *self.high, *tuning]
-        )
+        clock = [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort]
+        self.settings = np.array([*clock, *self.low, *self.high, *tuning, *self.driving.tuning])
 
     @classmethod
     def from_keywords(cls, keywords: Mapping[str, Any]) -> "Simulation":
@@ -113,6 +125,27 @@ class Simulation:
         own = {field.name for field in fields(Settings)}
         given = Settings(**{name: value for name, value in keywords.items() if name in own})
         return cls(given, {name: value for name, value in keywords.items() if name not in own})
+
+    def _theta_of(self, factor: float) -> tuple[tuple[Array, Array], Array]:
+        """(low, high) of the theta drawn at random, and the usual theta, at this factor of their distance from the nominal."""
+        low, high = self.plant.theta_set
+        nominal, task = np.clip(0.0, low, high), self.plant.task
+        usual = (low + high) / 2 if task.theta is None else np.array(task.theta[: len(low)])
+        return (nominal + factor * (low - nominal), nominal + factor * (high - nominal)), nominal + factor * (
+            usual - nominal
+        )
+
+    @property
+    def parameter_set(self) -> tuple[Array, Array]:
+        """(low, high) of all uncertain parameters, those that move and disturbances included."""
+        low, high = self.plant.parameter_set
+        for ends, own in zip((low, high), self.theta_set, strict=True):
+            ends[: len(own)] = own
+        for mover in self.driving.movers:
+            if mover.declared:
+                low[mover.columns[0]] += mover.extent[0]
+                high[mover.columns[0]] += mover.extent[1]
+        return low, high
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Simulation, self._made_from
@@ -136,8 +169,9 @@ class Simulation:
         """Twice the operating region, what tau_n makes of it over the theta set, and twice what the reference may be."""
         n, rng = self.plant.order, np.random.default_rng(0)
         centre, half = (self.low + self.high) / 2, self.high - self.low
-        low, high = self.plant.theta_set
-        theta = np.vstack([low, high, self.theta, rng.uniform(low, high, (61, len(low)))])
+        low, high = self.parameter_set
+        usual = np.concatenate([self.theta, np.zeros(len(low) - len(self.theta))])
+        theta = np.vstack([low, high, usual, rng.uniform(low, high, (61, len(low)))])
         x = centre + half * rng.choice([-1.0, 0.0, 1.0], (64, n))
         x[0], x[1] = centre - half, centre + half
         xi_n = np.abs([self.plant.kernel.output_derivatives_at(a, b) for a in x for b in theta[:16]])
@@ -171,7 +205,7 @@ class Simulation:
         (leading axis). In the random scenario the rest is drawn from each environment's own stream: first theta, then
         the initial state, then the reference.
         """
-        options = _dict("options", options)
+        options = mapping("options", options)
         if unknown := set(options) - set(RESET_OPTIONS):
             raise ValueError(f"`options` must be among {RESET_OPTIONS}, got {sorted(map(str, unknown))}.")
         given = self._given(options, chosen, num_envs)
@@ -180,14 +214,28 @@ class Simulation:
         if self._drawn is not None:
             streams = source.take(chosen)
             if not self.kernel.draw_all(rows, streams, *self._drawn):
-                low, high = self.plant.theta_set
+                low, high = self.theta_set
                 raise ValueError(f"`theta` could not be drawn: none of {DRAWS} from {low} to {high} is admissible.")
             source.put(chosen, streams)
         for columns, values in given:
             rows[:, columns] = values
         if given:
             self._check(rows, chosen)
+        if self.driving.moves:
+            self.kernel.start_all(rows, self.settings)
         return rows
+
+    def set_theta(self, rows: Array, theta: Any, num_envs: int | None = None) -> None:
+        """New declared theta for running episodes, (p,) or one for each; what is scheduled moves on about it.
+
+        Raises ValueError for theta that are not admissible; the rows are then as they were.
+        """
+        changed, n, p = rows.copy(), self.plant.order, len(self.plant.theta)
+        changed[:, n : n + p] = vector("theta", theta, p, num_envs)
+        self._check_theta(changed, range(len(rows)))
+        rows[:, n : n + p] = changed[:, n : n + p]
+        if self.driving.moves:
+            self.kernel.set_all(rows, self.settings)
 
     @property
     def row_size(self) -> int:
@@ -201,17 +249,17 @@ class Simulation:
 
     def row_reference(self, row: Array) -> Array:
         """The reference parameters of an episode."""
-        start = self.plant.order + len(self.plant.theta)
+        start = self.plant.order + len(self.plant.parameters)
         return row[..., start : start + len(self.reference.defaults)]
 
     @property
     def _memory(self) -> int:
         """Where the sensor memory of a row begins."""
-        return self.plant.order + len(self.plant.theta) + len(self.reference.defaults)
+        return self.plant.order + len(self.plant.parameters) + len(self.reference.defaults)
 
     def _given(self, options: dict[str, Any], chosen: Indices, num_envs: int | None) -> list[tuple[Any, Any]]:
         """(columns of the rows, their values) that the options of a reset ask for."""
-        n, p = self.plant.order, len(self.plant.theta)
+        n, p, all_p = self.plant.order, len(self.plant.theta), len(self.plant.parameters)
         given: list[tuple[Any, Any]] = []
         if self.sensors is None and "initial_estimate" in options:
             raise ValueError("`initial_estimate` must come with a differentiator, got derivatives = 'exact'.")
@@ -222,9 +270,9 @@ class Simulation:
             ("initial_estimate", slice(first, first + n), n),
         ):
             if name in options:
-                values = _vector(name, options[name], size, num_envs)
+                values = vector(name, options[name], size, num_envs)
                 given.append((columns, values if values.ndim == 1 else values[chosen]))
-        parameters = _dict("reference_parameters", options.get("reference_parameters"))
+        parameters = mapping("reference_parameters", options.get("reference_parameters"))
         each = {name: np.asarray(v) for name, v in parameters.items() if num_envs is not None and np.ndim(v)}
         for name, values in each.items():
             if values.shape != (num_envs,):
@@ -235,10 +283,10 @@ class Simulation:
             self.reference.parameters(parameters | {name: values[i] for name, values in each.items()})
         names = list(self.reference.defaults)
         for name, value in parameters.items():
-            given.append((n + p + names.index(name), each[name][chosen] if name in each else value))
+            given.append((n + all_p + names.index(name), each[name][chosen] if name in each else value))
         return given
 
-    def _sets(self, given: Settings) -> tuple[int, Array, Array, NDArray[np.intp], Array, Array] | None:
+    def _sets(self, given: Settings) -> tuple[int, bool, Array, Array, NDArray[np.intp], Array, Array] | None:
         """What `draw_all` draws at the beginning of an episode; None: nothing."""
         n, names = self.plant.order, list(self.reference.defaults)
         drawn: list[tuple[int, float, float]] = []  # column of the row (-1: given, hence dropped), low, high
@@ -248,15 +296,18 @@ class Simulation:
                     low, high = np.clip(self.plant.task.initial_set[name], self.low[i], self.high[i])
                     drawn.append((i, low, high))
             for name, (low, high) in self.reference.sets.items():
-                column = n + len(self.plant.theta) + names.index(name)
+                column = n + len(self.plant.parameters) + names.index(name)
                 drawn.append((-1 if name in self.reference_parameters else column, low, high))
         attempts = DRAWS if self.scenario == "random" and given.theta is None else 0
         if self.sensors is not None:
             drawn.append((self._memory, 0.0, sensors.KEYS))
+        if any(mover.family == "noise" for mover in self.driving.movers):
+            column = self._memory + stepping.sensor_memory(n, self.sensors) + len(self.driving.movers)
+            drawn.append((column, 0.0, sensors.KEYS))
         if not drawn and not attempts:
             return None
         columns, low, high = np.array(drawn).reshape(-1, 3).T.copy()
-        return attempts, *self.plant.theta_set, columns.astype(np.intp), low, high
+        return attempts, self.beyond, *self.theta_set, columns.astype(np.intp), low, high
 
     def _check(self, rows: Array, chosen: Indices = (0,)) -> None:
         n = self.plant.order
@@ -266,12 +317,30 @@ class Simulation:
             raise ValueError(
                 f"`initial_state` must lie in the operating region {self.low} to {self.high}, got {x[i]}{where[i]}."
             )
-        i, Delta_3, delta_3 = self.kernel.inadmissible(rows)
+        self._check_theta(rows, chosen)
+
+    def _check_theta(self, rows: Array, chosen: Indices = (0,)) -> None:
+        where = [""] if len(rows) == 1 else [f" in environment {i}" for i in chosen]
+        i, Delta_3, delta_3 = self.kernel.inadmissible(rows, self.beyond)
+        moves = " where it is scheduled to go" if any(mover.declared for mover in self.driving.movers) else ""
         if i >= 0:
             raise ValueError(
                 f"`theta` must keep abs(Delta_3) <= delta_3 = {delta_3:g}, "
-                f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{where[i]}."
+                f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{moves}{where[i]}."
             )
+
+
+def _varied(given: Settings, options: Mapping[str, Any]) -> tuple[plant.Plant, float, driving.Driving]:
+    """The plant with the uncertainty that is asked for, the sampling time, and what moves."""
+    dt = given.dt
+    schedule, disturbance = mapping("schedule", given.schedule), mapping("disturbance", given.disturbance)
+    actuator = Actuator.of(given.actuator)
+    if dt is None:
+        dt = plant.load(given.system, **options).task.dt
+    dt = positive("dt", dt)
+    unmatchedness = positive("unmatchedness", given.unmatchedness, or_zero=True)
+    found = plant.load(given.system, driving.variation(unmatchedness, schedule, disturbance, dt), **options)
+    return found, dt, driving.driving(found, schedule, disturbance, actuator, dt)
 
 
 def _measurement(given: Settings) -> tuple[Sensors | None, list[float]]:
@@ -285,41 +354,8 @@ def _measurement(given: Settings) -> tuple[Sensors | None, list[float]]:
             )
         return None, []
     tuning = dict(DIFFERENTIATORS[given.derivatives].settings)
-    own = _dict("differentiator", given.differentiator)
+    own = mapping("differentiator", given.differentiator)
     if unknown := set(own) - set(tuning):
         raise ValueError(f"`differentiator` must have keys among {sorted(tuning)}, got {sorted(map(str, unknown))}.")
-    tuning |= {name: _positive(f"{name} of the differentiator", value) for name, value in own.items()}
+    tuning |= {name: positive(f"{name} of the differentiator", value) for name, value in own.items()}
     return sensors, [sensors.noise, sensors.state_noise, sensors.quantisation, sensors.dropout, *tuning.values()]
-
-
-def _one_of(name: str, value: object, known: Iterable[str]) -> None:
-    if value not in tuple(known):
-        raise ValueError(f"`{name}` must be one of {sorted(known)}, got {value!r}.")
-
-
-def _positive(name: str, value: float, or_zero: bool = False) -> float:
-    number = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or value < 0 or (value == 0 and not or_zero):
-        raise ValueError(f"`{name}` must be {'>= 0' if or_zero else 'positive'} and finite, got {value!r}.")
-    return float(value)
-
-
-def _vector(name: str, value: Any, size: int, num_envs: int | None = None) -> Array:
-    """Shape (size,); with `num_envs` also (num_envs, size), one vector for each environment."""
-    try:
-        vector = np.array(value)
-    except ValueError:  # ragged
-        vector = np.array(None)
-    fits = vector.shape == (size,) or (num_envs is not None and vector.shape == (num_envs, size))
-    if not fits or vector.dtype.kind not in "iuf" or not np.isfinite(vector).all():
-        each = "" if num_envs is None else f", or {num_envs} times {size}"
-        raise ValueError(f"`{name}` must be {size} finite numbers{each}, got {value!r}.")
-    return vector.astype(float)
-
-
-def _dict(name: str, value: Any) -> dict[str, Any]:
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
-        raise ValueError(f"`{name}` must be a dict, got {value!r}.")
-    return dict(value)

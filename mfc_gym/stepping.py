@@ -1,18 +1,21 @@
 """The compiled step of the environment: zero-order hold, plant, clock, measurement, reward. Scalar and batch share it.
 
-An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), clock]; what all episodes
-share is `settings`, [dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)] and, with sensors that are not
-ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator]. The sensor memory is
+An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), what moves, clock]; what all
+episodes share is `settings`, [dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)] and, with sensors that are
+not ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator]. The sensor memory is
 [key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN: nothing measured yet.
+What moves: see `mfc_gym.driving`.
 """
 
+from itertools import product
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_gym import kernels
+from mfc_gym import driving, kernels
 from mfc_gym.differentiators import DIFFERENTIATORS
+from mfc_gym.driving import NOTHING, Driving
 from mfc_gym.plant import Plant
 from mfc_gym.references import Reference
 from mfc_gym.sensors import Sensors
@@ -30,10 +33,10 @@ from mfc_gym.references import {reference} as reference
 from mfc_gym.reward import reward
 from mfc_gym.reward import {cost} as cost
 from mfc_gym.streams import random as draw
-from {nominal} import bounds
-from {plant} import integrate, is_inside, is_near, output_derivatives, rk4, uncertainty
+from {plant} import admissibility, integrate, is_inside, is_near, output_derivatives, rk4
 
 {sensing}
+{driven}
 
 @njit
 def observe_plant(row, settings, observation):
@@ -75,10 +78,10 @@ def advance(row, action, settings, observation):
     """One sampling interval: (reward, terminated, truncated); row and observation are updated."""
     dt, substeps, u = settings[0], int(settings[1]), saturated(action, settings)
     low, high = settings[6:{high_start}], settings[{high_start}:{high_end}]
-    {state} = {state_of_row}
-    {state}, inside = integrate({arguments}, u, dt / substeps, substeps, low, high)
+    {integrate_step}
     {state_of_row} = {state}
     row[{clock}] += 1.0
+    {drive_step}
     {observe_step}
     observe_reference(row, row[{clock}] * dt, observation)
     return conclude(output(row) - observation[{reference_start}], u, inside, row[{clock}], settings)
@@ -101,7 +104,11 @@ def advance_one(row, action, settings):
     return observation, gain, terminated, truncated
 
 
-@njit(error_model="numpy")
+{advance_all}
+
+'''
+
+BLOCKS = '''@njit(error_model="numpy")
 def integrate_block(x, theta, u, inside, count, settings):
     """`integrate` of `count` episodes side by side; x (n, {block}) and `inside` are updated, what is not inside stays."""
     substeps, low, high = int(settings[1]), {low}, {high}
@@ -159,9 +166,9 @@ def advance_all(
             rewards[i] = gain if active[i] else 0.0
             terminated[i] = ends & active[i]
             truncated[i] = is_last & active[i]
+'''
 
-
-@njit(cache=True, nogil=True)
+EPISODES = '''@njit(cache=True, nogil=True)
 def tabulate(parameters, dt, table):
     """The reference at the samples 0, 1, ..."""
     for k in range(table.shape[0]):
@@ -192,31 +199,39 @@ def outputs(rows):
 
 
 @njit
-def gain_uncertainty(row):
-    """(Delta_3, delta_3)."""
+def offence(row, beyond):
+    """(Delta_3, delta_3) where theta, wherever it moves, breaks abs(Delta_3) <= delta_3, which every redesign controller is told.
+
+    `beyond`: only Delta_3 > -1 counts, the least that keeps the relative degree. (nan, nan): nothing is broken.
+    """
     {state} = {state_of_row}
-    return uncertainty({arguments})[1], bounds({state})[1]
+    for declared, delta_3, Delta_3 in ({corners},):
+        if not Delta_3 > -1.0:
+            return Delta_3, 1.0
+        if not (beyond or abs(declared) <= delta_3 * (1.0 + 1e-12)):
+            return declared, delta_3
+    return np.nan, np.nan
 
 
 @njit
-def is_admissible(row):
-    """Whether abs(Delta_3) <= delta_3, what every redesign controller is told."""
-    Delta_3, delta_3 = gain_uncertainty(row)
-    return abs(Delta_3) <= delta_3 * (1.0 + 1e-12)
+def is_admissible(row, beyond):
+    """Whether there is no offence; `beyond`: and theta is outside of what the bounds cover."""
+    allowed = np.isnan(offence(row, beyond)[0])
+    return allowed and ({outside} or not np.isnan(offence(row, False)[0])) if beyond else allowed
 
 
 @njit(cache=True, nogil=True)
-def inadmissible(rows):
-    """(index, Delta_3, delta_3) of the first row that is not admissible; index -1: there is none."""
+def inadmissible(rows, beyond):
+    """(index, Delta_3, delta_3) of the first row with an offence; index -1: there is none."""
     for i in range(rows.shape[0]):
-        if not is_admissible(rows[i]):
-            Delta_3, delta_3 = gain_uncertainty(rows[i])
+        Delta_3, delta_3 = offence(rows[i], beyond)
+        if not np.isnan(Delta_3):
             return i, Delta_3, delta_3
     return -1, 0.0, 0.0
 
 
 @njit(cache=True, nogil=True)
-def draw_all(rows, streams, attempts, theta_low, theta_high, columns, low, high):
+def draw_all(rows, streams, attempts, beyond, theta_low, theta_high, columns, low, high):
     """Draws, each row from its own stream, theta and then the numbers of the columns (-1: dropped), uniformly.
 
     Theta is drawn until it is admissible at the row's state. Returns whether the attempts were enough.
@@ -225,9 +240,9 @@ def draw_all(rows, streams, attempts, theta_low, theta_high, columns, low, high)
         row, stream = rows[i], streams[i]
         found = attempts == 0
         for _ in range(attempts):
-            for k in range({p}):
+            for k in range({declared}):
                 row[{n} + k] = theta_low[k] + (theta_high[k] - theta_low[k]) * draw(stream)
-            if is_admissible(row):
+            if is_admissible(row, beyond):
                 found = True
                 break
         if not found:
@@ -255,7 +270,7 @@ SENSED = {
 from mfc_gym.differentiators import {differentiator} as differentiate
 from mfc_gym.sensors import DROPOUT, OUTPUT, STATE, quantised, random
 from mfc_gym.sensors import {distribution} as noise
-from {nominal} import coordinates, lie_terms
+from {nominal} import bounds, coordinates, lie_terms
 
 
 @njit
@@ -316,6 +331,11 @@ def sense(memory, {state}, y, u, sample, settings, observation):
                 read(memory, observations[i])""",
     "output_of_block": "output_derivatives({block_arguments})[0]",
 }
+HELD = {
+    "integrate_step": """{state} = {state_of_row}
+    {state}, inside = integrate({arguments}, u, dt / substeps, substeps, low, high)""",
+    "drive_step": "",
+}
 FLOOR = 0.1  # of the largest y^(n) that the input can ask for: smallest bound of the differentiator
 
 
@@ -324,14 +344,37 @@ def sensor_memory(n: int, sensors: Sensors | None) -> int:
     return 0 if sensors is None else 2 + 2 * n + sensors.delay * (n + 1)
 
 
+def corners(state: list[str], n: int, p: int, moving: Driving) -> list[str]:
+    """The arguments (x, theta) at the ends of the intervals that the plant's own theta move in; those alone if none does."""
+    theta = [[f"row[{n + i}]"] for i in range(p)]
+    for mover in moving.movers:
+        if mover.declared:
+            column = mover.columns[0]
+            theta[column] = [f"row[{n + column}] + {end!r}" for end in mover.extent]
+    return [", ".join([*state, *chosen]) for chosen in product(*theta)]
+
+
+def outside(plant: Plant, n: int) -> str:
+    """Whether a row's theta lies outside the declared box."""
+    low, high = plant.theta_set
+    ends = enumerate(zip(low, high, strict=True), start=n)
+    return " or ".join(f"row[{i}] < {float(a)!r} or row[{i}] > {float(b)!r}" for i, (a, b) in ends) or "False"
+
+
 def load(
-    plant: Plant, reference: Reference, cost: str, sensors: Sensors | None = None, derivatives: str = "exact"
+    plant: Plant,
+    reference: Reference,
+    cost: str,
+    sensors: Sensors | None = None,
+    derivatives: str = "exact",
+    moving: Driving = NOTHING,
 ) -> ModuleType:
     """The compiled step of this plant, reference family and cost; `sensors` None: x and xi_n are known exactly."""
-    n, p, r = plant.order, len(plant.theta), len(reference.defaults)
+    n, p, r = plant.order, len(plant.parameters), len(reference.defaults)
     name = reference.derivatives.__name__
     start = n + p + r
-    state, clock = [f"x{i + 1}" for i in range(n)], start + sensor_memory(n, sensors)
+    base = start + sensor_memory(n, sensors)
+    state, clock = [f"x{i + 1}" for i in range(n)], base + moving.memory
     block = [*(f"x[{i}, j]" for i in range(n)), *(f"theta[{i}, j]" for i in range(p))]
     words = {
         "reference": name,
@@ -346,6 +389,9 @@ def load(
         "state": ", ".join(state),
         "state_of_row": ", ".join(f"row[{i}]" for i in range(n)),
         "state_of_block": ", ".join(block[:n]),
+        "declared": len(plant.theta),
+        "corners": ", ".join(f"admissibility({c})" for c in corners(state, n, p, moving)),
+        "outside": outside(plant, n),
         "arguments": ", ".join([*state, *(f"row[{n + i}]" for i in range(p))]),
         "block_arguments": ", ".join(block),
         "start_of_columns": ", ".join(f"columns[{i}, i]" for i in range(n + p)),
@@ -377,7 +423,13 @@ def load(
         "clock": clock,
         "size": 3 * n + 1,
     }
+    tuning = 6 + 2 * n + (0 if sensors is None else 4 + len(DIFFERENTIATORS[derivatives].settings))
+    words["driven"] = driving.source(words, moving, n, p, base, tuning) if moving.moves else ""
     parts = {key: text.format(**words) for key, text in (SENSED if sensors else IDEAL).items()}
-    source = TEMPLATE.format(**words, **parts)
-    library = kernels.files("mfc_gym", "references", "reward", "sensors", "differentiators", "streams")
+    parts |= {key: text.format(**words) for key, text in (driving.DRIVEN if moving.moves else HELD).items()}
+    parts["advance_all"] = (driving.ADVANCE_ALL if moving.moves else BLOCKS).format(**words, **parts)
+    source = (TEMPLATE + EPISODES).format(**words, **parts)
+    library = kernels.files(
+        "mfc_gym", "references", "reward", "sensors", "differentiators", "streams", "waves", "actuator"
+    )
     return kernels.load(f"mfc_step_{kernels.key(source, kernels.fingerprint(*library))}", lambda: source)

@@ -1,15 +1,19 @@
 """How many Runge-Kutta steps a control step takes: from a stated error, not by habit."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfc_gym.plant import Plant
 
+Array = NDArray[np.float64]
 CANDIDATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 SAMPLES = 256
 MARGIN = 2.0  # the worst of 20 000 points had up to 1.7 times the error of the worst sample
 
 
-def choose_substeps(plant: Plant, dt: float, input_limit: float, tolerance: float) -> int:
+def choose_substeps(
+    plant: Plant, parameter_set: tuple[Array, Array], dt: float, input_limit: float, tolerance: float
+) -> int:
     """The fewest substeps with an error below `tolerance` (relative to max(1, abs(x))) per control step.
 
     The error of m substeps is estimated against 2 m (Richardson: times 16/15) at points of the operating region, most
@@ -19,9 +23,9 @@ def choose_substeps(plant: Plant, dt: float, input_limit: float, tolerance: floa
     """
     rng = np.random.default_rng(0)
     low, high = plant.region(input_limit)
-    p = len(plant.theta)
+    p = len(plant.parameters)
     states = low + (high - low) * rng.beta(0.3, 0.3, (SAMPLES, plant.order))
-    thetas = np.where(rng.random((SAMPLES, p)) < 0.5, *plant.theta_set)
+    thetas = np.where(rng.random((SAMPLES, p)) < 0.5, *parameter_set)
     inputs = input_limit * np.where(np.arange(SAMPLES) % 2, 1.0, -1.0)
 
     def error(m: int) -> float:

@@ -39,6 +39,9 @@ class Uncertainty:
         self.Delta_1 = system.Delta_1
         self.Delta_3 = system.Delta_3
         self.delta_3 = system.bounds.get("delta_3")  # None: not declared
+        self.gate = system.gate  # its Delta_3 and delta_3 say which theta are admissible
+        self.gate_3 = self.gate.Delta_3
+        self.gate_limit = self.gate.bounds.get("delta_3")
 
     @cached_property
     def range_3(self) -> Ends:
@@ -50,27 +53,33 @@ class Uncertainty:
         """Whether Delta_3 is the same at every state, so that delta_3 says which theta is admissible."""
         return not self.Delta_3.free_symbols & set(self.region)
 
+    @property
+    def is_gate(self) -> bool:
+        """Whether delta_3 is what makes a theta admissible, rather than a bound to be proved."""
+        return self.uniform and self.gate is self.system
+
     @cached_property
     def limit_3(self) -> float | None:
         """Upper bound of delta_3 if it excludes a part of the theta box, None if the whole box is admissible."""
-        if self.delta_3 is None or not self.uniform:
+        if self.gate_limit is None or self.gate_3.free_symbols & set(self.region):
             return None
-        limit = enclose(self.delta_3, self.region)[1]
-        return None if max(-self.range_3[0], self.range_3[1]) <= limit * (1 + ROUNDING) else limit
+        limit = enclose(self.gate_limit, self.region)[1]
+        low, high = self.range_3 if self.gate is self.system else enclose(self.gate_3, self.box, budget=100_000)
+        return None if max(-low, high) <= limit * (1 + ROUNDING) else limit
 
     @property
     def theta(self) -> ThetaSet:
         """The admissible theta: the part of the box where abs(Delta_3) <= delta_3 (all of it if that depends on the state)."""
         limit = self.limit_3
-        return ThetaSet(self.theta_box) if limit is None else ThetaSet(self.theta_box, self.Delta_3, sp.Rational(limit))
+        return ThetaSet(self.theta_box) if limit is None else ThetaSet(self.theta_box, self.gate_3, sp.Rational(limit))
 
     @property
     def where(self) -> list[sp.Expr]:
         """Expressions that are <= 0 at every admissible theta, and nowhere else but for a rounding."""
         if self.limit_3 is None:
             return []
-        limit = self.delta_3 * (1 + sp.Rational(ROUNDING))
-        return [self.Delta_3 - limit, -self.Delta_3 - limit]
+        limit = self.gate_limit * (1 + sp.Rational(ROUNDING))
+        return [self.gate_3 - limit, -self.gate_3 - limit]
 
     def least_gain(self, delta_3: sp.Expr) -> sp.Expr:
         """A lower bound of 1 + Delta_3 for admissible theta, delta_3 bounding abs(Delta_3)."""
@@ -95,7 +104,7 @@ class Uncertainty:
         """
         low, high = self.range_3
         if self.delta_3 is not None:
-            limit = self.limit_3
+            limit = self.limit_3 if self.gate is self.system else None
             if limit is not None and (low > limit or high < -limit):
                 raise ValueError(
                     f"`bounds` delta_3 = {self.delta_3} must admit some theta, none has abs(Delta_3) <= delta_3."

@@ -95,8 +95,14 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     @property
     def theta(self) -> Array:
-        """The true uncertain parameters of the episodes, shape (num_envs, p)."""
+        """The true uncertain parameters now, shape (num_envs, p); may be set to (p,) or (num_envs, p), also within episodes."""
         return self.simulation.row_theta(self.rows)
+
+    @theta.setter
+    def theta(self, theta: Any) -> None:
+        rows = self.rows
+        self.simulation.set_theta(rows, theta, self.num_envs)
+        self._columns[:] = rows.T
 
     @property
     def reference_parameters(self) -> Array:

@@ -35,7 +35,7 @@ def worst_error(built: plant.Plant, dt: float, m: int, input_limit: float, rng: 
 @pytest.mark.parametrize("order", [2, 3, 5])
 def test_error_per_control_step(order: int, dt: float, rng: np.random.Generator) -> None:
     built = plant.load("PerturbedChain", order=order)
-    m = choose_substeps(built, dt, 50.0, 1e-8)
+    m = choose_substeps(built, built.parameter_set, dt, 50.0, 1e-8)
     assert worst_error(built, dt, m, 50.0, rng) <= 1e-8
 
 
@@ -43,24 +43,24 @@ def test_error_per_control_step(order: int, dt: float, rng: np.random.Generator)
 def test_error_of_other_plants(name: str, rng: np.random.Generator) -> None:
     built = plant.load(name)
     task = built.task
-    m = choose_substeps(built, task.dt, task.input_limit, 1e-8)
+    m = choose_substeps(built, built.parameter_set, task.dt, task.input_limit, 1e-8)
     assert worst_error(built, task.dt, m, task.input_limit, rng) <= 1e-8
 
 
 def test_no_more_than_needed(rng: np.random.Generator) -> None:
     """Half the substeps have 16 times the error: more than the tolerance, although the margin is 2."""
     built = plant.load("PerturbedChain")
-    m = choose_substeps(built, 0.02, 50.0, 1e-8)
+    m = choose_substeps(built, built.parameter_set, 0.02, 50.0, 1e-8)
     assert worst_error(built, 0.02, m // 2, 50.0, rng) > 1e-8
 
 
 def test_tolerance_and_step() -> None:
     """Error ~ (dt / m)^4 dt: 10^4 times the accuracy costs 10 times the substeps, up to the gaps between the candidates."""
     built = plant.load("PerturbedChain")
-    fine, coarse = (choose_substeps(built, 0.02, 50.0, tolerance) for tolerance in (1e-10, 1e-6))
+    fine, coarse = (choose_substeps(built, built.parameter_set, 0.02, 50.0, tolerance) for tolerance in (1e-10, 1e-6))
     assert {fine, coarse} <= set(CANDIDATES)
     assert 10 / 1.5 <= fine / coarse <= 10 * 1.5  # two candidates differ by a factor of up to 1.5
-    counts = [choose_substeps(built, dt, 50.0, 1e-8) for dt in (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)]
+    counts = [choose_substeps(built, built.parameter_set, dt, 50.0, 1e-8) for dt in (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)]
     assert counts == sorted(counts)
 
 
@@ -71,4 +71,4 @@ def test_refused(dt: float, tolerance: float) -> None:
     with pytest.raises(
         ValueError, match=f"`dt` must be small enough for an error of {tolerance:g} within 1024 substeps"
     ):
-        choose_substeps(built, dt, 50.0, tolerance)
+        choose_substeps(built, built.parameter_set, dt, 50.0, tolerance)
