@@ -102,7 +102,9 @@ def _interface(description: Mapping[str, Any]) -> Interface:
     if description["format"] == FIRST_FORMAT:
         return Interface()
     base = description["base"]
-    return Interface(Observer(**description["observe"]), None if base is None else Base(**base))
+    return Interface(
+        Observer(**description["observe"]), None if base is None else Base(**base | {"fade": tuple(base["fade"])})
+    )
 
 
 def _read(path: Path, limit: int) -> bytes:

@@ -155,6 +155,14 @@ def _short_lists(name: str, value: Any) -> None:
         _short_lists(f"{name}[]", inner)
 
 
+def fading(name: str, value: Any) -> None:
+    """A short list of positive numbers."""
+    if not isinstance(value, list | tuple) or len(value) > MAX_LIST:
+        raise ValueError(f"{name} must be a list of at most {MAX_LIST} numbers, got {_short(value)}.")
+    for width in value:
+        number(0.0, 1e9)(f"{name}[]", width)
+
+
 def optional(schema: Mapping[str, Any]) -> Check:
     """null, or what the schema says."""
 
@@ -189,7 +197,12 @@ SCHEMA: dict[str, Any] = FIRST_SCHEMA | {
         "dt": number(0.0, 1e6),
     },
     "base": optional(
-        {"controller": one_of(registry.names()), "options": controller_options, "bound": number(0.0, 1.0)}
+        {
+            "controller": one_of(registry.names()),
+            "options": controller_options,
+            "bound": number(0.0, 1.0),
+            "fade": fading,
+        }
     ),
 }
 SCHEMAS = {FIRST_FORMAT: FIRST_SCHEMA, FORMAT: SCHEMA}

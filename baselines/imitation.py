@@ -42,13 +42,13 @@ def record(
     amplitude = given.noise * rng.uniform(0.0, 1.0, count) ** 2
     signals, actions = [], []
     for _ in range(envs.unwrapped.simulation.steps):
-        seen, _ = interface.see(observations, memory, fresh)
+        seen, held = interface.see(observations, memory, fresh)
         action, state = controller.predict(observations, state, fresh)
         changed = rng.uniform(size=count) < envs.unwrapped.dt / given.hold
         disturbance = np.where(changed, amplitude * rng.uniform(-1.0, 1.0, count), disturbance)
         signals.append(seen)
         actions.append(action[:, 0])
-        applied = interface.act(np.clip(action + disturbance[:, None], -1.0, 1.0), action[:, 0], memory)
+        applied = interface.act(action + disturbance[:, None], held, memory)
         observations, _, terminated, truncated, _ = envs.step(applied)
         fresh = terminated | truncated
     envs.close()

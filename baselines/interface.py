@@ -1,7 +1,7 @@
 """What stands between an environment and a network: the same for a learner and for what it leaves behind."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class Interface:
     """Observations to signals, outputs of the network to actions; with the observer's memory, then the base controller's."""
 
-    observer: Observer = Observer()
+    observer: Observer = Observer()  # noqa: RUF009 (frozen)
     base: Base | None = None
     controller: Controller | None = None  # the base, made for an environment
 
@@ -50,25 +50,32 @@ class Interface:
         """Numbers of the signals for observations of d numbers."""
         return self.observer.size(d) + (self.base is not None)
 
-    def see(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """(signals (N, s), base's actions (N,)) of observations (N, d); `memory` as in `Controller.control`.
+    def see(self, observations: Array, memory: Array, fresh: NDArray[np.bool_]) -> tuple[Array, "Held"]:
+        """(signals (N, s), what the actions start from) of observations (N, d); `memory` as in `Controller.control`.
 
         The signals are the observer's and, last, the base's action. Raises ValueError for a base made for no environment.
         """
         own = self.observer.memory_size(observations.shape[1])
         signals = self.observer.see(observations, memory[:, :own], fresh)
         if self.base is None:
-            return signals, np.zeros(len(signals))
+            return signals, Held(np.zeros(len(signals)), np.ones(len(signals)))
         if self.controller is None:
             raise ValueError(f"`made_for(env)` must come before `predict`, {self.base.controller} is made for none.")
         remembered = np.ascontiguousarray(memory[:, own:])
         u = self.controller.control(np.ascontiguousarray(observations), remembered, fresh)
         memory[:, own:] = remembered
-        base = u / self.controller.nominal.input_limit
-        return np.hstack([signals, base[:, None]]), base
+        held = Held(u / self.controller.nominal.input_limit, self.base.reach(observations))
+        return np.hstack([signals, held.action[:, None]]), held
 
-    def act(self, outputs: Array, base: Array, memory: Array) -> Array:
-        """Actions (N, 1) of the network's outputs (N, 1) and the base's actions; the memory takes them up."""
-        actions = outputs if self.base is None else np.clip(base[:, None] + self.base.bound * outputs, -1.0, 1.0)
-        self.observer.acted(actions[:, 0], memory)
-        return actions
+    def act(self, outputs: Array, held: "Held", memory: Array) -> Array:
+        """Actions (N, 1) of the network's outputs (N, 1) and what they start from; the memory takes them up."""
+        actions = np.clip(held.action + held.reach * outputs[:, 0], -1.0, 1.0)
+        self.observer.acted(actions, memory)
+        return actions[:, None]
+
+
+class Held(NamedTuple):
+    """action + reach * output is what the plant gets."""
+
+    action: Array  # (N,), the base's; 0 without one
+    reach: Array  # (N,), 1 without a base

@@ -14,7 +14,7 @@ class Mode:
 
     corrects: bool = False  # the network's output is a correction of the base controller's action
     clones: bool = False  # the actor first imitates the base controller
-    terms: Terms = Terms()
+    terms: Terms = Terms()  # noqa: RUF009 (frozen)
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # fields of Hyperparameters, by algorithm
 
     def applied(self, algorithm: str, given: Hyperparameters) -> Hyperparameters:

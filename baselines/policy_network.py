@@ -57,7 +57,7 @@ class Agent:
     output: str  # of OUTPUTS, after the last
     environment: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # `id` and `options`
     training: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # seed, steps, versions, curve
-    interface: Interface = Interface()
+    interface: Interface = Interface()  # noqa: RUF009 (frozen)
 
     def __post_init__(self) -> None:
         size = len(self.features.offset)
@@ -114,7 +114,7 @@ class Agent:
             )
         rows = np.atleast_2d(x)
         memory, fresh = remembered((len(rows), self.interface.memory_size(x.shape[-1])), state, episode_start)
-        signals, base = self.interface.see(rows, memory, fresh)
-        actions = self.interface.act(self.network(signals), base, memory)
+        signals, held = self.interface.see(rows, memory, fresh)
+        actions = self.interface.act(self.network(signals), held, memory)
         actions = actions.astype(np.float32) if self.interface.base is None else actions
         return (actions[0], memory[0]) if x.ndim == 1 else (actions, memory)

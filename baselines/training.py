@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,11 @@ from baselines.policy_network import Agent, Features
 from baselines.provenance import provenance
 from baselines.residual import Base
 from baselines.sb3_weights import agent_of
-from baselines.training_env import features
+from baselines.training_env import features, widths
 from baselines.validation import Evaluation, Row
 
-SCALING, RECORDING, VALIDATION = (
-    2**29,
-    2**29 + 2**28,
-    2**30,
-)  # first seeds, below `learner.TRAINING`; those below both are left for tests
+# first seeds, below `learner.TRAINING`; those below all are left for tests
+SCALING, RECORDING, VALIDATION = 2**29, 2**29 + 2**28, 2**30
 CHECKPOINT = "checkpoint.pt"
 
 
@@ -45,7 +42,8 @@ class Plan:
     patience: int | None = None  # evaluations without a better one after which training ends; None: never
     mode: str = "direct"  # of MODES
     observe: tuple[str, ...] = ()  # see `baselines.observer.observer`
-    base: Base = Base()  # what is corrected or imitated; a mode that does neither leaves it alone
+    base: Base = field(default_factory=Base)  # what is corrected or imitated; a mode that does neither leaves it alone
+    fade: float = 0.3  # widths of the error in which a correction fades, in its standard deviations; 0: it does not
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -65,13 +63,23 @@ class Training:
         self.plan = plan
         self.evaluation = Evaluation(plan.env, plan.options, plan.episodes, VALIDATION)
         self.interface = plan.interface.made_for(self.evaluation.envs)
+        plan.base.build(self.evaluation.simulation.nominal)  # raises
         self.features: Features = features(plan.env, plan.options, SCALING, self.interface)
+        self.interface = self._fading()
         given, seen, task = plan.hyperparameters, self.features, self.evaluation.simulation
         options = {**plan.options, "horizon": max(1, round(given.episode * task.steps)) * task.dt}
         through = (self.interface, MODES[plan.mode].terms)
         self.model = learner.build(plan.algorithm, plan.env, options, given, seen, plan.seed, *through)
         self.curve: list[Row] = []
         self.best: Agent | None = None
+
+    def _fading(self) -> Interface:
+        """The interface with the plan's fade in units of the error."""
+        base, n = self.interface.base, self.evaluation.simulation.plant.order
+        if base is None or not self.plan.fade:
+            return self.interface
+        fade = tuple((self.plan.fade * widths(self.features, self.interface, n)).tolist())
+        return replace(self.interface, base=replace(base, fade=fade))
 
     @property
     def over(self) -> bool:

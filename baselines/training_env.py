@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from baselines import registry
-from baselines.interface import Interface
+from baselines.interface import Held, Interface
 from baselines.policy_network import Array, Features
 from baselines.rollout import rollout
 from baselines.trajectory import Trajectory
@@ -31,10 +31,10 @@ EPISODES = 64  # of the reference policy, which set the scale
 
 
 def features(id: str, options: Mapping[str, Any], seed: int, interface: Interface = PLAIN) -> Features:
-    """What a learner needs of the interface's signals, standardised over episodes of the controller it corrects or of the reference policy.
+    """[view, e, last action, integral, what changed from frame to frame, base's action] of the interface's signals, with
+    e = xi_n - [y_d ... y_d^(n-1)], or y - y_d where only the output is seen.
 
-    [view, e, last action, integral, what changed from frame to frame, base's action] with e = xi_n - [y_d ... y_d^(n-1)], or y - y_d
-    where only the output is seen.
+    Standardised over episodes of the controller that is corrected, or of the reference policy.
     """
     envs: Any = gym.make_vec(id, EPISODES, vectorization_mode="vector_entry_point", **options)
     interface = interface.made_for(envs)
@@ -69,14 +69,19 @@ def _matrix(interface: Interface, d: int) -> Array:
     observer, size = interface.observer, interface.size(d)
     n, view, frame = layout.order(np.empty(d)), observer.view(np.empty(d)).size, observer.frame(d)
     whole = np.eye(size)
-    if observer.output_only:
-        error = whole[:1] - whole[1:2]
-    else:
-        error = whole[n : 2 * n] - whole[2 * n : 3 * n]
+    y, yd, count = (0, 1, 1) if observer.output_only else (n, 2 * n, n)
+    error = whole[y : y + count] - whole[yd : yd + count]
     start = frame + observer.integral
     frames = [whole[:frame], *(whole[start + i * frame :][:frame] for i in range(observer.past))]
     changes = [now - before for now, before in pairwise(frames)]
     return np.vstack([whole[:view], error, whole[view:start], *changes, whole[observer.size(d) :]])
+
+
+def widths(features: Features, interface: Interface, n: int) -> Array:
+    """Standard deviation of e over the episodes that set the scale, shape (n,) or (1,)."""
+    view = interface.observer.view(np.empty(layout.size(n))).size
+    count = 1 if interface.observer.output_only else n
+    return 1.0 / np.abs(features.matrix[view : view + count]).max(axis=1)
 
 
 def shape(z: Any, fineness: float = 1.0) -> Any:
@@ -120,7 +125,8 @@ class TrainingEnv(VecEnvWrapper):
         self.precision = task.plant.task.success_error
         d = task.observation_space.shape[0]
         self._memory = np.zeros((venv.num_envs, self.interface.memory_size(d)))
-        self._base = self._output = np.zeros(venv.num_envs)
+        self._held = Held(np.zeros(venv.num_envs), np.ones(venv.num_envs))
+        self._output = np.zeros(venv.num_envs)
         super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, (len(features.offset),), np.float32))
 
     def reset(self) -> NDArray[np.float32]:
@@ -128,7 +134,7 @@ class TrainingEnv(VecEnvWrapper):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._output = np.asarray(actions)[:, 0]
-        self.venv.step_async(self.interface.act(actions, self._base, self._memory))
+        self.venv.step_async(self.interface.act(actions, self._held, self._memory))
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         observations, rewards, dones, infos = self.venv.step_wait()
@@ -144,7 +150,7 @@ class TrainingEnv(VecEnvWrapper):
         return self._seen(np.asarray(observations), dones), paid, dones, infos
 
     def _seen(self, observations: Array, fresh: NDArray[np.bool_]) -> NDArray[np.float32]:
-        signals, self._base = self.interface.see(observations, self._memory, fresh)
+        signals, self._held = self.interface.see(observations, self._memory, fresh)
         return self.features(signals).astype(np.float32)
 
     def _paid(self, rewards: NDArray[np.float32], x: Array) -> NDArray[np.float32]:

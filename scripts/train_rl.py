@@ -6,6 +6,7 @@ python scripts/train_rl.py ppo --mode residual --derivatives ired --noise 1e-4 -
 python scripts/evaluate_controller.py mfc ppo:results/ppo/best --scenario random --dt 0.02 --horizon 10
 """
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +50,8 @@ class Arguments:
     """The controller that is corrected or imitated, with options as in evaluate_controller: mfc:margin=1.2"""
     bound: float = Base.bound
     """Largest correction, in actions"""
+    fade: float = Plan.fade
+    """Errors, in standard deviations, below which the correction's bound shrinks with the error; 0: nowhere"""
     observe: tuple[str, ...] = ()
     """What is seen beside the observation and its error: integral (of the error), last-action, past:k (earlier observations);
     output-only hides x and xi_n except y"""
@@ -105,7 +108,9 @@ def plan(args: Arguments) -> Plan:
     options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
-    through = (args.mode, args.observe, Base(*parse(args.base), args.bound))
+    if not (math.isfinite(args.fade) and args.fade >= 0):
+        raise ValueError(f"`fade` must be finite and >= 0, got {args.fade}.")
+    through = (args.mode, args.observe, Base(*parse(args.base), args.bound), args.fade)
     return Plan(args.algorithm, args.env, options, args.seed, timesteps, args.episodes, args.patience, *through)
 
 
