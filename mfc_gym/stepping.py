@@ -1,9 +1,10 @@
 """The compiled step of the environment: zero-order hold, plant, clock, measurement, reward. Scalar and batch share it.
 
-An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), what moves, clock]; what all
+An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), what moves, clock]. What all
 episodes share is `settings`, [dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)] and, with sensors that are
-not ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator]. The sensor memory is
-[key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN: nothing measured yet.
+not ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator, low and high of what x and xi_n can read
+(4n)]. The sensor memory is [key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN:
+nothing measured yet.
 What moves: see `mfc_gym.driving`.
 """
 
@@ -314,7 +315,8 @@ def sense(memory, {state}, y, u, sample, settings, observation):
         {observed_derivatives} = coordinates({state})
     else:
         observation[{n} : {n2}] = memory[{estimate}:{ring}]
-    for i in range(2 * {n}):
+    for i in range(2 * {n}):  # what is beyond a sensor's range reads as its end
+        observation[i] = min(max(observation[i], settings[{ranges} + i]), settings[{ranges} + 2 * {n} + i])
         memory[2 + i] = observation[i]
 """,
     "observe_plant": """memory = row[{sensor_start}:{clock}]
@@ -423,7 +425,9 @@ def load(
         "clock": clock,
         "size": 3 * n + 1,
     }
-    tuning = 6 + 2 * n + (0 if sensors is None else 4 + len(DIFFERENTIATORS[derivatives].settings))
+    ranges = 10 + 2 * n + len(DIFFERENTIATORS[derivatives].settings) if sensors else 0
+    tuning = ranges + 4 * n if sensors else 6 + 2 * n
+    words["ranges"] = ranges
     words["driven"] = driving.source(words, moving, n, p, base, tuning) if moving.moves else ""
     parts = {key: text.format(**words) for key, text in (SENSED if sensors else IDEAL).items()}
     parts |= {key: text.format(**words) for key, text in (driving.DRIVEN if moving.moves else HELD).items()}
