@@ -58,13 +58,13 @@ def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
 
 
 def parse(specification: str) -> tuple[str, dict[str, Any]]:
-    """Name and options of a controller. Raises ValueError for text that is not `name` or `name:option=value,...`."""
+    """(name, options) of a specification. Raises ValueError for text that is not `name` or `name:option=value,...`."""
     name, _, rest = specification.partition(":")
     options: dict[str, Any] = {}
     for item in filter(None, _split(rest)):
         key, equals, value = item.partition("=")
         if not equals:
-            raise ValueError(f"`controllers` must be name or name:option=value,..., got {specification!r}.")
+            raise ValueError(f"a specification must be name or name:option=value,..., got {specification!r}.")
         options[key] = _value(value)
     return name, options
 
@@ -98,7 +98,7 @@ def _value(text: str) -> Any:
     if text.startswith("(") and text.endswith(")"):
         return tuple(float(part) for part in text[1:-1].split(",") if part.strip())
     try:
-        return float(text)
+        return int(text) if text.isdecimal() else float(text)
     except ValueError:
         return text
 

@@ -31,6 +31,8 @@ class Arguments:
     """Environment id, or a plant file ending in .toml"""
     order: int | None = None
     """Order of the plant, where it has this option"""
+    unmatchedness: float | None = None
+    """From 1 (the plant as it is) to 0: the same size of uncertainty enters where the input does"""
     bounds: bool = False
     """Also prove the bounds over the operating region and the theta set (takes seconds)"""
 
@@ -89,7 +91,8 @@ def designs(env: gym.Env[Any, Any]) -> list[tuple[str, str]]:
 
 def main(args: Arguments) -> None:
     """Print the description. Raises ValueError for a plant that breaks an assumption."""
-    options: dict[str, Any] = {} if args.order is None else {"order": args.order}
+    names = ("order", "unmatchedness")
+    options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.system.endswith(".toml"):
         env = gym.make("mfc_gym/Plant-v0", system=args.system, **options)
     else:

@@ -52,6 +52,16 @@ class Arguments:
     """Uncertain parameters, fixed in both scenarios"""
     initial_state: tuple[float, ...] | None = None
     """Initial state, fixed in both scenarios"""
+    uncertainty: str | None = None
+    """How far theta lies from its nominal value: nominal, mild, hard (what the bounds cover), beyond (what they do not)"""
+    unmatchedness: float | None = None
+    """From 1 (the plant as it is) to 0: the same size of uncertainty enters where the input does"""
+    schedule: tuple[str, ...] = ()
+    """Theta that move in time: alpha1:wave=step,amplitude=0.1,time=5 (waves: step, impulse, drift, sine, noise)"""
+    disturbance: tuple[str, ...] = ()
+    """Disturbances on the input (u) or a row of the state: x2:wave=sine,amplitude=0.2,frequency=3"""
+    actuator: str | None = None
+    """What the input suffers: lag=0.02,delay=1,rate=100,quantisation=0.1"""
     derivatives: str | None = None
     """How xi_n is obtained: exact, or by a differentiator on the sampled output (ired, hdd, ired-linear, high-gain, dirty)"""
     noise: float | None = None
@@ -83,8 +93,16 @@ def sweep(args: Arguments, seeds: range) -> dict[str, list[tuple[float, float, f
 
 def environment(args: Arguments) -> gym.Env[Any, Any]:
     """The environment the arguments describe."""
-    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order", "theta", "initial_state", "derivatives")
+    names = (
+        *("scenario", "reference", "dt", "horizon", "input_limit", "order", "theta", "initial_state", "derivatives"),
+        *("uncertainty", "unmatchedness"),
+    )
     options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
+    for name in ("schedule", "disturbance"):
+        if given := getattr(args, name):
+            options[name] = dict(evaluation.parse(each) for each in given)
+    if args.actuator is not None:
+        options["actuator"] = evaluation.parse(f"actuator:{args.actuator}")[1]
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
     if args.env.endswith(".toml"):

@@ -1,4 +1,4 @@
-"""Every fenced block of the README runs."""
+"""Every fenced block of the README runs, and every Python block of docs/uncertainty.md."""
 
 import os
 import re
@@ -10,7 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
-PYTHON = [block for language, block in BLOCKS if language == "python"]
+DOCUMENTED = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs/uncertainty.md").read_text(), re.MULTILINE | re.DOTALL)
+PYTHON = [block for language, block in BLOCKS if language == "python"] + DOCUMENTED
 COMMANDS = [
     line.split("  #")[0].strip()
     for language, block in BLOCKS
