@@ -19,7 +19,7 @@ from baselines.sb3_weights import agent_of
 from baselines.training_env import SCALING, features
 from baselines.validation import Evaluation, Row
 
-VALIDATION = 2**30  # first seed, between `training_env.SCALING` and `learner.TRAINING`; those below all are left for tests
+VALIDATION = 2**30  # first seed, between SCALING and `learner.TRAINING`; those below all three are left for tests
 CHECKPOINT = "checkpoint.pt"
 
 
