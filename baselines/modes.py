@@ -24,6 +24,10 @@ class Mode:
 
 MODES: dict[str, Mode] = {
     "direct": Mode(),
-    "residual": Mode(corrects=True, terms=Terms(fineness=20.0, output=0.001)),
+    "residual": Mode(
+        corrects=True,
+        terms=Terms(fineness=20.0, output=0.001),
+        changes={"ppo": {"log_std": (-0.5, -1.2), "learning_rate": 5e-4}},
+    ),
     "imitation": Mode(clones=True, changes={"ppo": {"log_std": (-2.0, -2.0), "learning_rate": 3e-4}}),
 }

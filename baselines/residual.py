@@ -26,7 +26,7 @@ class Base:
 
     controller: str = "mfc"  # of `baselines.registry`
     options: Mapping[str, Any] = field(default_factory=dict)
-    bound: float = 0.1  # of the correction, in actions
+    bound: float = 0.15  # of the correction, in actions
     fade: tuple[float, ...] = ()  # n widths, or one for y alone, unit of xi_n; none: the reach is the bound
 
     def __post_init__(self) -> None:

@@ -43,7 +43,7 @@ class Plan:
     mode: str = "direct"  # of MODES
     observe: tuple[str, ...] = ()  # see `baselines.observer.observer`
     base: Base = field(default_factory=Base)  # what is corrected or imitated; a mode that does neither leaves it alone
-    fade: float = 0.3  # widths of the error in which a correction fades, in its standard deviations; 0: it does not
+    fade: float = 2.0  # widths of the error in which a correction fades, in its standard deviations; 0: it does not
 
     @property
     def hyperparameters(self) -> Hyperparameters:
