@@ -7,6 +7,7 @@ tensor is compared with the architecture that the JSON declares. Files beside th
 import hashlib
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from baselines.agent_schema import FORMAT, SCHEMA, check, parse
+from baselines.agent_schema import FIRST_FORMAT, FORMAT, check_agent, parse
 from baselines.files import replace, write_json
+from baselines.interface import Interface
+from baselines.observer import Observer
 from baselines.policy_network import Agent, Array, Features
+from baselines.residual import Base
 
 try:
     from safetensors import SafetensorError
@@ -47,11 +51,13 @@ def save_agent(agent: Agent, folder: Path) -> None:
             "output": agent.output,
         },
         "features": {"matrix": agent.features.matrix.tolist(), "offset": agent.features.offset.tolist()},
+        "observe": asdict(agent.interface.observer),
+        "base": None if agent.interface.base is None else asdict(agent.interface.base),
         "environment": dict(agent.environment),
         "training": dict(agent.training),
         "weights": {"sha256": hashlib.sha256(data).hexdigest()},
     }
-    check("agent", description, SCHEMA)
+    check_agent(description)
     folder.mkdir(parents=True, exist_ok=True)
     replace(folder / WEIGHTS, lambda path: path.write_bytes(data))
     write_json(folder / DESCRIPTION, description)
@@ -66,7 +72,7 @@ def load_agent(folder: Path | str, algorithm: str | None = None) -> Agent:
     if not folder.is_dir():
         raise ValueError(f"`folder` must be a folder with {DESCRIPTION} and {WEIGHTS}, got {folder}.")
     description = parse(DESCRIPTION, _read(folder / DESCRIPTION, MAX_DESCRIPTION))
-    check("agent", description, SCHEMA)
+    check_agent(description)
     if algorithm is not None and algorithm.lower() != description["algorithm"].lower():
         raise ValueError(f"`algorithm` must be {description['algorithm']} for the agent in {folder}, got {algorithm}.")
     features = _features(description["features"])
@@ -87,6 +93,17 @@ def load_agent(folder: Path | str, algorithm: str | None = None) -> Agent:
         network["output"],
         description["environment"],
         description["training"],
+        _interface(description),
+    )
+
+
+def _interface(description: Mapping[str, Any]) -> Interface:
+    """None of the first format's; a controller is only named: `Agent.made_for` builds it."""
+    if description["format"] == FIRST_FORMAT:
+        return Interface()
+    base = description["base"]
+    return Interface(
+        Observer(**description["observe"]), None if base is None else Base(**base | {"fade": tuple(base["fade"])})
     )
 
 

@@ -6,16 +6,20 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+from baselines import registry
+from baselines.observer import MAX_PAST
 from baselines.policy_network import ACTIVATIONS, OUTPUTS
 
 Check = Callable[[str, Any], None]
 
-FORMAT = "mfc-gym agent 1"
+FORMAT = "mfc-gym agent 2"
+FIRST_FORMAT = "mfc-gym agent 1"  # without `observe` and `base`
 ALGORITHMS = ("PPO", "SAC", "TD3", "TQC", "CrossQ")
 MAX_DEPTH = 8
 MAX_ROWS = 1000  # features
 MAX_WIDTH = 4096  # units of a layer
 MAX_LAYERS = 8  # hidden ones
+MAX_LIST = 16  # entries of a controller's option
 
 
 def parse(name: str, data: bytes) -> Any:
@@ -74,8 +78,7 @@ def rows(name: str, value: Any) -> None:
 
 def width(name: str, value: Any) -> None:
     """Number of units of a layer."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MAX_WIDTH:
-        raise ValueError(f"{name} must be an integer from 1 to {MAX_WIDTH}, got {_short(value)}.")
+    integer(1, MAX_WIDTH)(name, value)
 
 
 def widths(name: str, value: Any) -> None:
@@ -110,8 +113,68 @@ def options(name: str, value: Any) -> None:
     plain(name, value, text=r"\w[\w.\-]{0,99}")
 
 
-SCHEMA: dict[str, Any] = {
-    "format": one_of((FORMAT,)),
+def boolean(name: str, value: Any) -> None:
+    """true or false."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, got {_short(value)}.")
+
+
+def integer(low: int, high: int) -> Check:
+    """An integer from low to high."""
+
+    def function(name: str, value: Any) -> None:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ValueError(f"{name} must be an integer from {low} to {high}, got {_short(value)}.")
+
+    return function
+
+
+def number(low: float, high: float) -> Check:
+    """A number in (low, high]."""
+
+    def function(name: str, value: Any) -> None:
+        if not _is_number(value) or not low < value <= high:
+            raise ValueError(f"{name} must be a number in ({low}, {high}], got {_short(value)}.")
+
+    return function
+
+
+def controller_options(name: str, value: Any) -> None:
+    """Options of a controller: numbers, bare names, short lists of numbers and of such lists."""
+    options(name, value)
+    if len(value) > MAX_LIST:
+        raise ValueError(f"{name} must have at most {MAX_LIST} keys, got {len(value)}.")
+    for key, given in value.items():
+        _short_lists(f"{name}.{key}", given)
+
+
+def _short_lists(name: str, value: Any) -> None:
+    if isinstance(value, dict) or (isinstance(value, list) and len(value) > MAX_LIST):
+        raise ValueError(f"{name} must be a number, a name or at most {MAX_LIST} of these, got {_short(value)}.")
+    for inner in value if isinstance(value, list) else ():
+        _short_lists(f"{name}[]", inner)
+
+
+def fading(name: str, value: Any) -> None:
+    """A short list of positive numbers."""
+    if not isinstance(value, list | tuple) or len(value) > MAX_LIST:
+        raise ValueError(f"{name} must be a list of at most {MAX_LIST} numbers, got {_short(value)}.")
+    for width in value:
+        number(0.0, 1e9)(f"{name}[]", width)
+
+
+def optional(schema: Mapping[str, Any]) -> Check:
+    """null, or what the schema says."""
+
+    def function(name: str, value: Any) -> None:
+        if value is not None:
+            check(name, value, schema)
+
+    return function
+
+
+FIRST_SCHEMA: dict[str, Any] = {
+    "format": one_of((FIRST_FORMAT,)),
     "algorithm": one_of(ALGORITHMS),
     "network": {
         "hidden": widths,
@@ -124,6 +187,32 @@ SCHEMA: dict[str, Any] = {
     "training": plain,
     "weights": {"sha256": matching("[0-9a-f]{64}")},
 }
+SCHEMA: dict[str, Any] = FIRST_SCHEMA | {
+    "format": one_of((FORMAT,)),
+    "observe": {
+        "integral": boolean,
+        "last_action": boolean,
+        "past": integer(0, MAX_PAST),
+        "output_only": boolean,
+        "dt": number(0.0, 1e6),
+    },
+    "base": optional(
+        {
+            "controller": one_of(registry.names()),
+            "options": controller_options,
+            "bound": number(0.0, 1.0),
+            "fade": fading,
+        }
+    ),
+}
+SCHEMAS = {FIRST_FORMAT: FIRST_SCHEMA, FORMAT: SCHEMA}
+
+
+def check_agent(description: Any) -> None:
+    """Compare a description with the schema of the format that it states. Raises ValueError."""
+    stated = description.get("format") if isinstance(description, dict) else None
+    known = isinstance(stated, str) and stated in SCHEMAS
+    check("agent", description, SCHEMAS[str(stated)] if known else SCHEMA)
 
 
 def _is_number(value: Any) -> bool:

@@ -54,16 +54,25 @@ class Controller(ABC):
                 f"got {observation if observation.size < 50 else observation.shape}."
             )
         rows = np.ascontiguousarray(np.atleast_2d(observation))
-        fresh = np.full(len(rows), state is None)
-        if episode_start is not None:
-            fresh |= np.broadcast_to(np.asarray(episode_start, dtype=bool).reshape(-1), fresh.shape)
-        memory = np.zeros((len(rows), self.memory_size))
-        if state is not None:
-            given = np.atleast_2d(np.asarray(state, dtype=float))
-            if given.shape != memory.shape:
-                raise ValueError(
-                    f"`state` must be what `predict` returned, of shape {memory.shape}, got {given.shape}."
-                )
-            memory[:] = given
+        memory, fresh = remembered((len(rows), self.memory_size), state, episode_start)
         action = self.control(rows, memory, fresh)[:, None] / self.nominal.input_limit
         return (action[0], memory[0]) if observation.ndim == 1 else (action, memory)
+
+
+def remembered(
+    shape: tuple[int, int], state: Array | None, episode_start: NDArray[np.bool_] | None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """(memory (N, m), a copy of the state or zeros; fresh (N,)) of what `predict` was given.
+
+    Raises ValueError for a state that does not fit the observation.
+    """
+    fresh = np.full(shape[0], state is None)
+    if episode_start is not None:
+        fresh |= np.broadcast_to(np.asarray(episode_start, dtype=bool).reshape(-1), fresh.shape)
+    memory = np.zeros(shape)
+    if state is not None:
+        given = np.atleast_2d(np.asarray(state, dtype=float))
+        if given.shape != shape:
+            raise ValueError(f"`state` must be what `predict` returned, of shape {shape}, got {given.shape}.")
+        memory[:] = given
+    return memory, fresh

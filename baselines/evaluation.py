@@ -52,26 +52,33 @@ def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
     name, _, rest = specification.partition(":")
     if name in ALGORITHMS:
         return _agent(specification, name, rest, env)
+    name, options = parse(specification)
+    controller = registry.make(name, env, **options)
+    return Entry(specification, controller, controller.reads, options)
+
+
+def parse(specification: str) -> tuple[str, dict[str, Any]]:
+    """Name and options of a controller. Raises ValueError for text that is not `name` or `name:option=value,...`."""
+    name, _, rest = specification.partition(":")
     options: dict[str, Any] = {}
     for item in filter(None, _split(rest)):
         key, equals, value = item.partition("=")
         if not equals:
             raise ValueError(f"`controllers` must be name or name:option=value,..., got {specification!r}.")
         options[key] = _value(value)
-    controller = registry.make(name, env, **options)
-    return Entry(specification, controller, controller.reads, options)
+    return name, options
 
 
 def _agent(specification: str, algorithm: str, folder: str, env: gym.Env[Any, Any]) -> Entry:
     """A trained agent from its files, which run no code."""
     from baselines.agent_files import load_agent
 
-    agent, size = load_agent(folder, algorithm), env.observation_space.shape
+    agent, size = load_agent(folder, algorithm).made_for(env), env.observation_space.shape
     if size != (agent.observation_size,):
         raise ValueError(
             f"`controllers`: {specification} was trained on {agent.observation_size} numbers, the environment has {size}."
         )
-    return Entry(specification, agent, ("state", "output derivatives"), {"environment": dict(agent.environment)})
+    return Entry(specification, agent, agent.reads, {"environment": dict(agent.environment)})
 
 
 def _split(text: str) -> list[str]:

@@ -131,6 +131,7 @@ METRICS: dict[str, Metric] = {
     "saturation_time": Metric("s", lambda w: saturation_time(w.control, w.input_limit, w.dt)),
     "peak": Metric("u", lambda w: peak(w.control)),
     "transient_rms": Metric("y", lambda w: rms(w.error), "transient"),
+    "transient_iae": Metric("y s", lambda w: iae(w.error, w.dt), "transient"),
     "transient_max": Metric("y", lambda w: max_error(w.error), "transient"),
     "transient_total_variation": Metric("u", lambda w: total_variation(w.control), "transient"),
     "tail_rms": Metric("y", lambda w: rms(w.error), "tail"),

@@ -105,7 +105,12 @@ class LyapunovRedesign(Controller):
         """z: xi_n, or xi = tau(x) for the law that knows matched uncertainty only; shape (..., n)."""
         if self.feedback == "state":
             return self.nominal.tau(layout.state(observation))
-        return layout.output_derivatives(observation)
+        xi_n = layout.output_derivatives(observation)
+        if not redesign_kernel.estimates(self.nominal):
+            return xi_n
+        x = layout.state(observation)
+        xi, spread = self.nominal.tau(x), np.apply_along_axis(self.nominal.spread, -1, x)
+        return np.clip(xi_n, xi - spread, xi + spread)
 
     def initial_model_error(self, observation: Array) -> Array:
         """e_star(0) = xi*(0) - xi_d(0) for the first observation of an episode, shape (..., n)."""

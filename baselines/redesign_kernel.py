@@ -64,7 +64,7 @@ from baselines.model_loop import hermite_coefficients, interpolate
 from baselines.switching import best_rate, clip
 from baselines.switching import {switching} as switching
 from {nominal} import bounds as nominal_bounds
-from {nominal} import coordinates, input_field, lie_terms, nominal_drift
+from {nominal} import coordinates, input_field, lie_terms, nominal_drift, spread
 
 N = {n}
 PREDICTED, ESTIMATE, LAST_BASE, LAST_GAMMA = N, N + 1, N + 2, N + 3
@@ -86,6 +86,15 @@ def terms({x}, {z}, {yd}, {e_star}, law):
     v_tilde = -({k_tilde_e})
     Gamma = law[{margin}] * gain(alpha, omega_star, v_tilde, bounds)
     return alpha, beta, omega_star + v_tilde, Gamma, {c_e}
+
+
+@njit
+def consistent(xi_n, xi, spread):
+    """xi_n as measured, where the bounds say that it may be, given the state."""
+    {xi_n} = xi_n
+    {xs} = xi
+    {d} = spread
+    return {limited}
 
 
 @njit
@@ -184,12 +193,21 @@ MODEL_ADVANCE = {
     "nonlinear": "memory[BEFORE] = observation[2 * N :]",
     "reference": "pass",
 }
-FEEDBACK = {"output derivatives": "{xi_n_of_observation}", "state": "coordinates({x})"}
+FEEDBACK = {
+    "output derivatives": "{xi_n_of_observation}",
+    "state": "coordinates({x})",
+    "consistent output derivatives": "consistent(({xi_n_of_observation}), coordinates({x}), spread({x}))",
+}
 
 
 def memory_size(n: int, model: str) -> int:
     """Numbers of memory per episode: model state, predicted s, estimate, last base and Gamma; last reference if nonlinear."""
     return 2 * n + 5 if model == "nonlinear" else n + 4
+
+
+def estimates(nominal: NominalModel) -> bool:
+    """Whether xi_n is an estimate, which the state, known exactly, may correct."""
+    return nominal.derivatives != "exact" and nominal.state_noise == 0.0
 
 
 def _tuple(entries: Sequence[str]) -> str:
@@ -200,6 +218,8 @@ def load(nominal: NominalModel, model: str, feedback: str, gain: str, switching:
     """The compiled law for this nominal model and these parts."""
     n = nominal.order
     layout = Layout(n)
+    if feedback == "output derivatives" and estimates(nominal):
+        feedback = f"consistent {feedback}"
 
     def symbols(letter: str, count: int = n) -> list[str]:
         return [f"{letter}{i + 1}" for i in range(count)]
@@ -219,6 +239,10 @@ def load(nominal: NominalModel, model: str, feedback: str, gain: str, switching:
         "e": _tuple(e),
         "e_star": ", ".join(e_star),
         "xi_star": _tuple(xi_star),
+        "xi_n": _tuple(symbols("m")),
+        "xs": _tuple(symbols("xs")),
+        "d": _tuple(symbols("d")),
+        "limited": _tuple([f"min(max(m{i}, xs{i} - d{i}), xs{i} + d{i})" for i in range(1, n + 1)]),
         "yd": ", ".join(yd),
         "yd_n": yd[n],
         "error": _tuple([f"{a} - {b} - {c}" for a, b, c in zip(z, yd, e_star, strict=False)]),

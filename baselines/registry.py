@@ -43,14 +43,16 @@ def names() -> tuple[str, ...]:
     return tuple(CONTROLLERS)
 
 
-def make(name: str, env: Any, **options: Any) -> Controller:
-    """The controller `name` for this environment (scalar or vector), which tells it the nominal model and nothing else.
-
-    Raises ValueError for an unknown name or options the controller does not take.
-    """
+def build(name: str, nominal: NominalModel, /, **options: Any) -> Controller:
+    """The controller `name` for this nominal model. Raises ValueError for an unknown name or options it does not take."""
     if name not in CONTROLLERS:
         raise ValueError(f"`name` must be one of {sorted(CONTROLLERS)}, got {name!r}.")
     try:
-        return CONTROLLERS[name](env.unwrapped.nominal, **options)
+        return CONTROLLERS[name](nominal, **options)
     except TypeError as error:
         raise ValueError(f"controller {name!r} does not take these options: {error}.") from error
+
+
+def make(name: str, env: Any, **options: Any) -> Controller:
+    """The controller `name` for this environment (scalar or vector), which tells it the nominal model and nothing else."""
+    return build(name, env.unwrapped.nominal, **options)

@@ -72,9 +72,10 @@ def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:
     memory = controller.first_memory(first)
     run = rollout_kernel.load(simulation.kernel, controller).run
 
+    shared = (simulation.settings, memory, controller.law, *simulation.tabulated())
+
     def chunk(start: int, stop: int) -> None:
-        arrays = (memory, controller.law, observations, outputs, controls, rewards, terminated)
-        run(rows, simulation.settings, *arrays, start, stop)
+        run(rows, *shared, observations, outputs, controls, rewards, terminated, start, stop)
 
     threads = min(count, os.cpu_count() or 1)
     edges = np.linspace(0, count, threads + 1).astype(int)

@@ -5,31 +5,48 @@ from types import ModuleType
 from baselines.redesign import LyapunovRedesign
 from mfc_gym import kernels
 
+BLOCK = 128  # episodes side by side: their integrations fill the processor, one alone waits for its own last result
+
 TEMPLATE = '''"""Generated: episodes of a redesign law in its environment. Do not edit."""
 
 import numpy as np
 from numba import njit
 
 from {law} import control
-from {step} import advance, output
+from {step} import advance_all, output
 
 
 @njit(cache=True, nogil=True)
-def run(rows, settings, memory, law, observations, outputs, controls, rewards, terminated, start, stop):
+def run(rows, settings, memory, law, given, table, observations, outputs, controls, rewards, terminated, start, stop):
     """Episodes start to stop from their first observations (B, N+1, 3n+1) on; what follows an episode's end stays as it is."""
     limit = settings[2]
-    for i in range(start, stop):
+    for first in range(start, stop, {block}):
+        count = min({block}, stop - first)
+        columns, seen = np.empty((rows.shape[1], count)), np.empty((count, observations.shape[2]))
+        columns[:], seen[:] = rows[first : first + count].T, observations[first : first + count, 0]
+        actions, gains, active = np.empty(count), np.empty(count), np.ones(count, np.bool_)
+        ended, cut = np.empty(count, np.bool_), np.empty(count, np.bool_)
         for k in range(controls.shape[1]):
-            action = control(observations[i, k], memory[i], k == 0, law) / limit
-            controls[i, k] = limit * min(max(action, -1.0), 1.0)
-            rewards[i, k], terminated[i], truncated = advance(rows[i], action, settings, observations[i, k + 1])
-            outputs[i, k + 1] = output(rows[i])
-            if terminated[i] or truncated:
+            for j in range(count):
+                if active[j]:
+                    actions[j] = control(seen[j], memory[first + j], k == 0, law) / limit
+                    controls[first + j, k] = limit * min(max(actions[j], -1.0), 1.0)
+            advance_all(columns, actions, settings, active, given, table, seen, gains, ended, cut, 0, count)
+            for j in range(count):
+                if active[j]:
+                    i = first + j
+                    for m in range(seen.shape[1]):
+                        observations[i, k + 1, m] = seen[j, m]
+                    outputs[i, k + 1] = output(columns[:, j])
+                    rewards[i, k], terminated[i] = gains[j], ended[j]
+                    active[j] = not (ended[j] or cut[j])
+            if not active.any():
                 break
+        rows[first : first + count] = columns.T
 '''
 
 
 def load(step: ModuleType, controller: LyapunovRedesign) -> ModuleType:
     """The compiled loop of this environment step and this law."""
-    source = TEMPLATE.format(law=controller.kernel.__name__, step=step.__name__)
+    source = TEMPLATE.format(law=controller.kernel.__name__, step=step.__name__, block=BLOCK)
     return kernels.load(f"mfc_run_{kernels.key(source)}", lambda: source)

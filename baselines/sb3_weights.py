@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 from baselines.agent_schema import MAX_LAYERS, MAX_WIDTH
+from baselines.interface import Interface
 from baselines.policy_network import ACTIVATIONS, Agent, Array, Features, Layer
 
 try:
@@ -23,6 +24,7 @@ except ModuleNotFoundError as error:
 WEIGHTS = "policy.pth"  # in the .zip
 MAX_ZIP = 256 * 2**20  # bytes, of the file and of the weights in it
 MAX_MEMBERS = 100
+PLAIN = Interface()
 RENORM_EPS = 1e-3  # sb3-contrib's BatchRenorm
 
 
@@ -43,11 +45,17 @@ ACTORS: dict[str, Actor] = {
 }
 
 
-def agent_of(model: Any, features: Features, environment: Mapping[str, Any], training: Mapping[str, Any]) -> Agent:
+def agent_of(
+    model: Any,
+    features: Features,
+    environment: Mapping[str, Any],
+    training: Mapping[str, Any],
+    interface: Interface = PLAIN,
+) -> Agent:
     """The actor of a model as it is now; `model.policy.activation_fn` must be one that `Agent` knows."""
     algorithm = type(model).__name__
     activation = (model.policy.activation_fn if algorithm == "PPO" else model.actor.activation_fn).__name__.lower()
-    return _agent(algorithm, activation, model.policy.state_dict(), features, environment, training)
+    return _agent(algorithm, activation, model.policy.state_dict(), features, environment, training, interface)
 
 
 def import_sb3_zip(
@@ -82,13 +90,14 @@ def _agent(
     features: Features,
     environment: Mapping[str, Any],
     training: Mapping[str, Any],
+    interface: Interface = PLAIN,
 ) -> Agent:
     if algorithm not in ACTORS or activation not in ACTIVATIONS:
         raise ValueError(
             f"`model` must be of {sorted(ACTORS)} with {sorted(ACTIVATIONS)}, got {algorithm}, {activation}."
         )
     layers = _layers(ACTORS[algorithm], state)
-    return Agent(algorithm, features, layers, activation, ACTORS[algorithm].output, environment, training)
+    return Agent(algorithm, features, layers, activation, ACTORS[algorithm].output, environment, training, interface)
 
 
 def _layers(actor: Actor, state: Mapping[str, Any]) -> tuple[Layer, ...]:

@@ -125,6 +125,7 @@ def rollouts(episodes: int = 1000) -> list[Row]:
     observations[:, 0] = first
     outputs, controls = np.empty(observations.shape[:2]), np.empty((episodes, simulation.steps))
     rewards, terminated = np.empty_like(controls), np.empty(episodes, dtype=bool)
+    table = simulation.tabulated()
 
     def work() -> int:
         rows = np.repeat(plain.rows, episodes, axis=0)
@@ -134,6 +135,7 @@ def rollouts(episodes: int = 1000) -> list[Row]:
             simulation.settings,
             memory,
             controller.law,
+            *table,
             observations,
             outputs,
             controls,
@@ -254,20 +256,20 @@ def memory() -> list[Row]:
     ]
 
 
-def collection(num_envs: int = 64) -> list[Row]:
-    """Experience for Stable-Baselines3's PPO with a 64x64 policy, through the adapter and through DummyVecEnv."""
+def experience(num_envs: int = 64) -> list[Row]:
+    """Experience for PPO with a 64x64 policy: Stable-Baselines3 over DummyVecEnv, over the adapter, and what `train_rl` uses."""
+    import stable_baselines3
     import torch
-    from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecEnv
 
-    from baselines import agents
+    from baselines import agents, collection
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
 
-    def collect(envs: VecEnv) -> Callable[[], int]:
-        model = PPO("MlpPolicy", envs, n_steps=64, batch_size=64, seed=0, device="cpu")
+    def collect(algorithm: Any, envs: VecEnv) -> Callable[[], int]:
+        model = algorithm("MlpPolicy", envs, n_steps=64, batch_size=64, seed=0, device="cpu")
         _, callback = model._setup_learn(10**9)
 
         def work() -> int:
@@ -276,13 +278,13 @@ def collection(num_envs: int = 64) -> list[Row]:
 
         return work
 
-    yardstick = median_rate(collect(make_vec_env(ID, num_envs)))
-    rate = median_rate(collect(agents.make_vec_env(ID, num_envs)))
+    yardstick = median_rate(collect(stable_baselines3.PPO, make_vec_env(ID, num_envs)))
+    rows: list[Row] = [(f"SB3 PPO, DummyVecEnv, {num_envs}", yardstick, "steps/s", None)]
+    for algorithm, name in ((stable_baselines3.PPO, "SB3 PPO"), (collection.PPO, "collection.PPO")):
+        rate = median_rate(collect(algorithm, agents.make_vec_env(ID, num_envs)))
+        rows.append((f"{name}, agents.make_vec_env, {num_envs}", rate, "steps/s", rate / yardstick))
     torch.set_num_threads(threads)
-    return [
-        (f"SB3 PPO, DummyVecEnv, {num_envs}", yardstick, "steps/s", None),
-        (f"SB3 PPO, agents.make_vec_env, {num_envs}", rate, "steps/s", rate / yardstick),
-    ]
+    return rows
 
 
 MEASUREMENTS: dict[str, Callable[[], list[Row]]] = {
@@ -292,5 +294,5 @@ MEASUREMENTS: dict[str, Callable[[], list[Row]]] = {
     "exact": exact,
     "start": cold_start,
     "memory": memory,
-    "sb3": collection,
+    "sb3": experience,
 }

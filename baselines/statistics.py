@@ -6,6 +6,7 @@ An infinite score is allowed and counts as such; NaN is an error.
 
 [1] Agarwal et al.: Deep reinforcement learning at the edge of the statistical precipice, NeurIPS 2021.
 [2] Rockafellar, Uryasev: Optimization of conditional value-at-risk, Journal of Risk 2, 2000.
+[3] Owen: The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007.
 """
 
 from __future__ import annotations
@@ -123,19 +124,56 @@ def bootstrap(
     arrays = [_matrix("scores", x) for x in scores]
     if not arrays or any(x.ndim != 2 for x in arrays):
         raise ValueError(f"`scores` must have shape (runs,) or (runs, tasks), got {[x.shape for x in arrays]}.")
+    rng = np.random.default_rng(seed)
+
+    def resample(c: int) -> list[Array]:
+        return [x[rng.integers(len(x), size=(c, *x.shape)), np.arange(x.shape[1])] for x in arrays]
+
+    return _percentiles(statistic, arrays, resample, reps, level)
+
+
+def crossed_bootstrap(
+    statistic: Callable[..., Array],
+    *scores: npt.ArrayLike,
+    reps: int = 2000,
+    level: float = 0.95,
+    seed: int | np.random.Generator = 0,
+) -> Estimate:
+    """Percentile bootstrap where every run plays every episode: both are drawn with replacement, independently [3].
+
+    Scores of shape (runs, episodes) or (runs, episodes, tasks); `statistic` gets (..., runs, episodes * tasks). The arrays
+    share the episodes, which are drawn once for all of them (common random numbers) and for all tasks; each array has its
+    own runs. With one run it is the bootstrap over the episodes.
+    """
+    arrays = [np.asarray(x, dtype=np.float64) for x in scores]
+    shapes = [x.shape for x in arrays]
+    if not arrays or any(x.ndim not in (2, 3) or x.size == 0 or x.shape[1:] != arrays[0].shape[1:] for x in arrays):
+        raise ValueError(f"`scores` must have shape (runs, episodes[, tasks]) with the same episodes, got {shapes}.")
+    rng = np.random.default_rng(seed)
+
+    def resample(c: int) -> list[Array]:
+        episodes = rng.integers(shapes[0][1], size=(c, 1, shapes[0][1]))
+        drawn = [x[rng.integers(len(x), size=(c, len(x), 1)), episodes] for x in arrays]
+        return [x.reshape(c, x.shape[1], -1) for x in drawn]
+
+    return _percentiles(statistic, [x.reshape(len(x), -1) for x in arrays], resample, reps, level)
+
+
+def _percentiles(
+    statistic: Callable[..., Array],
+    arrays: list[Array],
+    resample: Callable[[int], list[Array]],
+    reps: int,
+    level: float,
+) -> Estimate:
+    """The statistic and the percentiles of its replicates, many resamples at a time."""
     if reps < 1:
         raise ValueError(f"`reps` must be at least 1, got {reps}.")
     if not 0 < level < 1:
         raise ValueError(f"`level` must be in (0, 1), got {level}.")
-    rng = np.random.default_rng(seed)
-
-    def resample(x: Array, c: int) -> Array:
-        runs, tasks = x.shape
-        return x[rng.integers(runs, size=(c, runs, tasks)), np.arange(tasks)]
-
     chunk = max(1, CHUNK // sum(x.size for x in arrays))
     sizes = [min(chunk, reps - i) for i in range(0, reps, chunk)]
-    z = np.sort(np.concatenate([statistic(*(resample(x, c) for x in arrays)) for c in sizes]), axis=0)
+    z = np.sort(np.concatenate([statistic(*resample(c)) for c in sizes]), axis=0)
     k = math.floor((1 - level) / 2 * (reps - 1))
     return Estimate(statistic(*arrays), z[k], z[reps - 1 - k])
 

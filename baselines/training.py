@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,19 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from baselines import checkpoint, learner
 from baselines.agent_files import save_agent
 from baselines.hyperparameters import Hyperparameters, hyperparameters
+from baselines.imitation import Cloning, clone, record
+from baselines.interface import Interface
+from baselines.modes import MODES
+from baselines.observer import observer
 from baselines.policy_network import Agent, Features
 from baselines.provenance import provenance
+from baselines.residual import Base
 from baselines.sb3_weights import agent_of
-from baselines.training_env import SCALING, features
+from baselines.training_env import SCALING, features, widths
 from baselines.validation import Evaluation, Row
 
-VALIDATION = 2**30  # first seed, between SCALING and `learner.TRAINING`; those below all three are left for tests
+# first seeds, below `learner.TRAINING`; those below all are left for tests
+RECORDING, VALIDATION = 2**29 + 2**28, 2**30
 CHECKPOINT = "checkpoint.pt"
 
 
@@ -34,11 +40,20 @@ class Plan:
     timesteps: int
     episodes: int = 64  # of each evaluation
     patience: int | None = None  # evaluations without a better one after which training ends; None: never
+    mode: str = "direct"  # of MODES
+    observe: tuple[str, ...] = ()  # see `baselines.observer.observer`
+    base: Base = field(default_factory=Base)  # what is corrected or imitated; a mode that does neither leaves it alone
+    fade: float = 0.3  # widths of the error in which a correction fades, in its standard deviations; 0: it does not
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """The table's entry for the algorithm on the plant."""
-        return hyperparameters(self.algorithm, self.env)
+        """The table's entry for the algorithm on the plant, with the mode's changes."""
+        return MODES[self.mode].applied(self.algorithm, hyperparameters(self.algorithm, self.env))
+
+    @property
+    def interface(self) -> Interface:
+        """What the learner acts through."""
+        return Interface(observer(self.observe), self.base if MODES[self.mode].corrects else None)
 
 
 class Training:
@@ -46,31 +61,56 @@ class Training:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self.features: Features = features(plan.env, plan.options, SCALING)
         self.evaluation = Evaluation(plan.env, plan.options, plan.episodes, VALIDATION)
+        self.interface = plan.interface.made_for(self.evaluation.envs)
+        plan.base.build(self.evaluation.simulation.nominal)  # raises
+        self.features: Features = features(plan.env, plan.options, SCALING, self.interface)
+        self.interface = self._fading()
         given, seen, task = plan.hyperparameters, self.features, self.evaluation.simulation
         options = {**plan.options, "horizon": max(1, round(given.episode * task.steps)) * task.dt}
-        self.model = learner.build(plan.algorithm, plan.env, options, given, seen, plan.seed)
+        through = (self.interface, MODES[plan.mode].terms)
+        self.model = learner.build(plan.algorithm, plan.env, options, given, seen, plan.seed, *through)
         self.curve: list[Row] = []
         self.best: Agent | None = None
+
+    def _fading(self) -> Interface:
+        """The interface with the plan's fade in units of the error."""
+        base, n = self.interface.base, self.evaluation.simulation.plant.order
+        if base is None or not self.plan.fade:
+            return self.interface
+        fade = tuple((self.plan.fade * widths(self.features, self.interface, n)).tolist())
+        return replace(self.interface, base=replace(base, fade=fade))
 
     @property
     def over(self) -> bool:
         """Whether all timesteps are done, or the best evaluation is `patience` evaluations ago."""
         returns, patience = [row["return"] for row in self.curve], self.plan.patience
         stale = patience is not None and len(returns) - returns.index(max(returns)) > patience if returns else False
-        return stale or self.model.num_timesteps >= self.plan.timesteps
+        return stale or (bool(returns) and self.model.num_timesteps >= self.plan.timesteps)
+
+    def begin(self) -> Row | None:
+        """Clone the controller where the mode says so; returns the curve's first row, at no timesteps, if there is one."""
+        plan = self.plan
+        if MODES[plan.mode].clones:
+            signals, actions = record(plan.env, plan.options, plan.base, self.interface, RECORDING, Cloning())
+            clone(self.model, self.features(signals), actions, plan.seed, Cloning())
+        elif plan.timesteps:
+            return None
+        return self._row(time.perf_counter())
 
     def segment(self, progress: Callable[[int], object]) -> Row:
         """Learn for one segment and evaluate; returns the new row of the curve."""
-        plan, model = self.plan, self.model
-        before, begin = self.curve[-1]["seconds"] if self.curve else 0.0, time.perf_counter()
+        plan, model, begin = self.plan, self.model, time.perf_counter()
         learner.begin_segment(model, plan.hyperparameters, plan.seed, plan.timesteps)
         length = min(plan.hyperparameters.segment, plan.timesteps - model.num_timesteps)
         model.learn(length, Listener(progress), log_interval=10, reset_num_timesteps=False)
-        found = self.evaluation(self.agent())
+        return self._row(begin)
+
+    def _row(self, begin: float) -> Row:
+        """Evaluate: a new row of the curve, perhaps a new best agent."""
+        before, found = self.curve[-1]["seconds"] if self.curve else 0.0, self.evaluation(self.agent())
         seconds = before + time.perf_counter() - begin
-        self.curve.append({"timesteps": model.num_timesteps, "seconds": seconds, **found})
+        self.curve.append({"timesteps": self.model.num_timesteps, "seconds": seconds, **found})
         if found["return"] == max(row["return"] for row in self.curve):
             self.best = self.agent()
         self._log(found)
@@ -81,13 +121,14 @@ class Training:
         training = {
             "seed": self.plan.seed,
             "timesteps": self.model.num_timesteps,
+            "mode": self.plan.mode,
             "hyperparameters": asdict(self.plan.hyperparameters),
             "curve": list(self.curve),
             "reference": self.evaluation.reference,
             **provenance(),
         }
         environment = {"id": self.plan.env, "options": dict(self.plan.options)}
-        return agent_of(self.model, self.features, environment, training)
+        return agent_of(self.model, self.features, environment, training, self.interface)
 
     def save(self, out: Path) -> None:
         """The checkpoint first, then the agents `best` and `last`, which `resume` writes again."""
@@ -102,13 +143,11 @@ class Training:
     def resume(self, out: Path) -> None:
         """Go on where `save` was last called. Raises ValueError if that was another training."""
         further = checkpoint.restore(out / CHECKPOINT, self.model)
-        if differing := sorted(k for k, v in asdict(self.plan).items() if further["plan"][k] != v):
+        if differing := sorted(k for k, v in asdict(self.plan).items() if further["plan"].get(k) != v):
             raise ValueError(f"`resume` must be given the arguments of the training in {out}, got other {differing}.")
-        self.curve, best, now = further["curve"], further["best"], self.agent()
+        self.curve, best = further["curve"], further["best"]
         layers = tuple((weight.numpy(), bias.numpy()) for weight, bias in best["layers"])
-        self.best = Agent(
-            now.algorithm, now.features, layers, now.activation, now.output, now.environment, best["training"]
-        )
+        self.best = replace(self.agent(), layers=layers, training=best["training"])
         self.save(out)
 
     def _log(self, found: Row) -> None:
@@ -150,9 +189,11 @@ def train(
     if begun:
         training.resume(out)
     training.model.set_logger(Logger(str(out), [TensorBoardOutputFormat(str(out / "tensorboard"))]))
-    while not training.over:
-        row = training.segment(progress)
+    row = None if begun else training.begin()
+    while row or not training.over:
+        row = row or training.segment(progress)
         training.save(out)
         report(row, training.evaluation.reference)
+        row = None
     training.model.logger.close()
     return training

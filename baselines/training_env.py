@@ -4,6 +4,8 @@ Running statistics do not serve here: what an untrained agent does to an unstabl
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
@@ -12,11 +14,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from baselines import registry
+from baselines.interface import Held, Interface
 from baselines.policy_network import Array, Features
 from baselines.rollout import rollout
+from baselines.trajectory import Trajectory
 from mfc_gym import observation as layout
 from mfc_gym.simulation import Simulation
 
+PLAIN = Interface()
 VALUES = 10.0  # the discounted sum of the largest cost for ever
 ESCAPE = 30.0  # leaving the region
 BORDER = 5.0  # times the largest cost, at the border; it falls to 0 at INNER, relative to the region's half width
@@ -26,16 +31,20 @@ EPISODES = 64  # of the reference policy, which set the scale
 SCALING = 2**29  # their first seed
 
 
-def features(id: str, options: Mapping[str, Any], seed: int) -> Features:
-    """[x, xi_n, y_d ... y_d^(n), e] with e = xi_n - [y_d ... y_d^(n-1)], standardised over episodes of the reference policy."""
+def features(id: str, options: Mapping[str, Any], seed: int, interface: Interface = PLAIN) -> Features:
+    """[view, e, last action, integral, what changed from frame to frame, base's action] of the interface's signals, with
+    e = xi_n - [y_d ... y_d^(n-1)], or y - y_d where only the output is seen.
+
+    Standardised over episodes of the controller that is corrected, or of the reference policy.
+    """
     envs: Any = gym.make_vec(id, EPISODES, vectorization_mode="vector_entry_point", **options)
-    trajectory = rollout(envs, registry.make("mfc", envs), seed=seed)
+    interface = interface.made_for(envs)
+    controller = registry.make("mfc", envs) if interface.controller is None else interface.controller
+    trajectory = rollout(envs, controller, seed=seed)
     envs.close()
-    d = trajectory.state.shape[-1] * 2 + trajectory.reference.shape[-1]
-    n = layout.order(np.empty(d))
-    matrix = np.vstack([np.eye(d), np.eye(n, d, n) - np.eye(n, d, 2 * n)])
-    parts = (trajectory.state, trajectory.output_derivatives, trajectory.reference)
-    seen = np.concatenate(parts, axis=-1).reshape(-1, d) @ matrix.T
+    seen = _signals(interface, trajectory, envs.unwrapped.nominal.input_limit)
+    matrix = _matrix(interface, layout.size(trajectory.state.shape[-1]))
+    seen = seen.reshape(-1, seen.shape[-1]) @ matrix.T
     mean, deviation = np.nanmean(seen, axis=0), np.nanstd(seen, axis=0)
     scale = np.where(deviation > 1e-6 * deviation.max(), deviation, 1.0)  # a constant entry has no scale of its own
     return Features(matrix / scale[:, None], -mean / scale)
@@ -48,13 +57,56 @@ def scaled(venv: VecEnv, gamma: float, horizon: float) -> "TrainingEnv":
     return TrainingEnv(venv, features(spec.id, options, SCALING), gamma, simulation)
 
 
-def shape(z: Any) -> Any:
-    """log(1 + z) + z / KNEE of the cost z over the precision asked for.
+def _signals(interface: Interface, trajectory: Trajectory, limit: float) -> Array:
+    """The interface's signals along a batch of the controller's own episodes, shape (N+1, B, s)."""
+    parts = (trajectory.state, trajectory.output_derivatives, trajectory.reference)
+    observations = np.concatenate(parts, axis=-1)
+    actions = np.vstack([trajectory.control / limit, np.full((1, observations.shape[1]), np.nan)])
+    observer, d = interface.observer, observations.shape[-1]
+    memory = np.zeros((observations.shape[1], observer.memory_size(d)))
+    seen = []
+    for k, (now, action) in enumerate(zip(observations, actions, strict=True)):
+        signals = observer.see(now, memory, np.full(len(now), k == 0))
+        observer.acted(action, memory)
+        seen.append(signals if interface.base is None else np.hstack([signals, action[:, None]]))
+    return np.array(seen)
+
+
+def _matrix(interface: Interface, d: int) -> Array:
+    """Rows of the features before they are standardised, shape (m, s)."""
+    observer, size = interface.observer, interface.size(d)
+    n, view, frame = layout.order(np.empty(d)), observer.view(np.empty(d)).size, observer.frame(d)
+    whole = np.eye(size)
+    y, yd, count = (0, 1, 1) if observer.output_only else (n, 2 * n, n)
+    error = whole[y : y + count] - whole[yd : yd + count]
+    start = frame + observer.integral
+    frames = [whole[:frame], *(whole[start + i * frame :][:frame] for i in range(observer.past))]
+    changes = [now - before for now, before in pairwise(frames)]
+    return np.vstack([whole[:view], error, whole[view:start], *changes, whole[observer.size(d) :]])
+
+
+def widths(features: Features, interface: Interface, n: int) -> Array:
+    """Standard deviation of e over the episodes that set the scale, shape (n,) or (1,)."""
+    view = interface.observer.view(np.empty(layout.size(n))).size
+    count = 1 if interface.observer.output_only else n
+    return 1.0 / np.abs(features.matrix[view : view + count]).max(axis=1)
+
+
+def shape(z: Any, fineness: float = 1.0) -> Any:
+    """log(1 + fineness z) + z / KNEE of the cost z over the precision asked for.
 
     Of the cost alone a learner sees the transients, which outweigh what is left afterwards by a hundred; of its logarithm alone
     it does not see that it should not leave the region.
     """
     return np.log1p(z) + z / KNEE
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What differs between the modes of training in what is paid."""
+
+    fineness: float = 1.0  # of the precision asked for, in the logarithm
+    output: float = 0.0  # cost of the square of the network's output, relative to the largest cost
 
 
 class TrainingEnv(VecEnvWrapper):
@@ -65,30 +117,54 @@ class TrainingEnv(VecEnvWrapper):
     environment charges cost_max for the rest of the horizon at once, costs -ESCAPE: an undiscounted sum would drown all else.
     """
 
-    def __init__(self, venv: VecEnv, features: Features, gamma: float, task: Simulation) -> None:
-        self.features = features
+    def __init__(
+        self,
+        venv: VecEnv,
+        features: Features,
+        gamma: float,
+        task: Simulation,
+        interface: Interface = PLAIN,
+        terms: Terms = Terms(),
+    ) -> None:
+        self.features, self.interface, self.terms = features, interface.built(task.nominal), terms
         self.gamma, self.dt = gamma, task.dt
         self.cost_max = float(task.settings[4])
         self.middle, self.half = (task.low + task.high) / 2, (task.high - task.low) / 2
         self.precision = task.plant.task.success_error
-        size = len(features.offset)
-        super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, (size,), np.float32))
+        d = task.observation_space.shape[0]
+        self._memory = np.zeros((venv.num_envs, self.interface.memory_size(d)))
+        self._held = Held(np.zeros(venv.num_envs), np.ones(venv.num_envs))
+        self._output = np.zeros(venv.num_envs)
+        super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, (len(features.offset),), np.float32))
 
     def reset(self) -> NDArray[np.float32]:
-        return self._seen(self.venv.reset())  # type: ignore[arg-type]
+        return self._seen(np.asarray(self.venv.reset()), np.ones(self.num_envs, dtype=bool))
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._output = np.asarray(actions)[:, 0]
+        self.venv.step_async(self.interface.act(actions, self._held, self._memory))
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         observations, rewards, dones, infos = self.venv.step_wait()
-        for i in np.flatnonzero(dones):
-            infos[i]["terminal_observation"] = self._seen(infos[i]["terminal_observation"])
-        return self._seen(observations), self._paid(rewards, layout.state(observations)), dones, infos  # type: ignore[arg-type]
+        ended = np.flatnonzero(dones)
+        if ended.size:
+            last = np.array([infos[i]["terminal_observation"] for i in ended])
+            signals, _ = self.interface.see(last, self._memory[ended], np.zeros(ended.size, dtype=bool))
+            for i, seen in zip(ended, self.features(signals).astype(np.float32), strict=True):
+                infos[i]["terminal_observation"] = seen
+        paid = self._paid(rewards, layout.state(np.asarray(observations)))
+        if self.terms.output:
+            paid -= (VALUES * (1.0 - self.gamma) * self.terms.output * self._output**2).astype(np.float32)
+        return self._seen(np.asarray(observations), dones), paid, dones, infos
 
-    def _seen(self, observations: Array) -> NDArray[np.float32]:
-        return self.features(observations).astype(np.float32)
+    def _seen(self, observations: Array, fresh: NDArray[np.bool_]) -> NDArray[np.float32]:
+        signals, self._held = self.interface.see(observations, self._memory, fresh)
+        return self.features(signals).astype(np.float32)
 
     def _paid(self, rewards: NDArray[np.float32], x: Array) -> NDArray[np.float32]:
         cost = np.maximum(-rewards.astype(float) / self.dt, 0.0)
-        relative = shape(cost / self.precision) / shape(self.cost_max / self.precision)
+        fineness = self.terms.fineness
+        relative = shape(cost / self.precision, fineness) / shape(self.cost_max / self.precision, fineness)
         nearness = (np.abs(x - self.middle) / self.half).max(axis=-1)
         border = BORDER * np.clip((nearness - INNER) / (1.0 - INNER), 0.0, 1.0)
         escaped = cost > 1.001 * self.cost_max

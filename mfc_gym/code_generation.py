@@ -5,7 +5,9 @@ from collections.abc import Iterable, Sequence
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
+from mfc_gym.enclosure import bound_of
 from mfc_gym.flat_system import BOUNDS, INPUT_LIMIT, FlatSystem
+from mfc_gym.uncertainty import Uncertainty
 
 HEADER = '''"""Generated from the equations of a plant. Do not edit."""
 
@@ -223,7 +225,9 @@ def nominal_source(system: FlatSystem) -> str:
             function("bounds", x, rename([bounds[k] for k in BOUNDS]), ", ".join(BOUNDS) + "."),
             function("nominal_drift", x, rename(system.f), "f."),
             function("input_field", x, rename(system.g), "g."),
+            function("spread", x, rename(spread(system)), "Bounds of abs(xi_n - xi), entry by entry."),
             function("jacobian", x, rename(list(jacobian)), "d tau / dx, row by row."),
+            array_function("spread_at", [f"spread{call}"], "x", unpack, n, "Bounds of abs(xi_n - xi)."),
             array_function("jacobian_at", [f"jacobian{call}"], "x", unpack, n * n, "d tau / dx, flat."),
             '\n\n@njit(cache=True, nogil=True)\ndef terms_at(points):\n    """(tau, alpha, beta, bounds, f, g) of each row."""\n'
             f"    out = np.empty((points.shape[0], {3 * n + 2 + len(BOUNDS)}))\n"
@@ -233,6 +237,19 @@ def nominal_source(system: FlatSystem) -> str:
             "            out[k, i] = value\n    return out\n",
         ]
     )
+
+
+def spread(system: FlatSystem) -> list[sp.Expr]:
+    """Bounds of abs(tau_n - tau) over region and admissible theta, entry by entry; inf where none was found."""
+    u = Uncertainty(system)
+
+    def bound(change: sp.Expr) -> sp.Expr:
+        try:
+            return bound_of(u, "spread", change)
+        except ValueError:
+            return sp.oo
+
+    return [bound(sp.expand(a - b)) for a, b in zip(system.tau_n, system.tau, strict=True)]
 
 
 def complete_bounds(system: FlatSystem) -> dict[str, sp.Expr]:

@@ -13,7 +13,8 @@ from typing import Any
 
 from mfc_gym import waves
 from mfc_gym.actuator import IDEAL, Actuator
-from mfc_gym.plant import Plant, Variation, disturbance_name, rate_name
+from mfc_gym.plant import Plant
+from mfc_gym.variation import Variation, disturbance_name, rate_name
 from mfc_gym.waves import WAVES
 
 MOST = 1024  # substeps

@@ -5,8 +5,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy import empty
 from numpy.typing import NDArray
 
+from mfc_gym import observation as layout
 from mfc_gym import rendering
 from mfc_gym.simulation import Simulation
 from mfc_gym.streams import OneStream
@@ -32,6 +34,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         self.render_mode = render_mode
         self.action_space = self.simulation.action_space  # type: ignore[assignment]
         self.observation_space = self.simulation.observation_space  # type: ignore[assignment]
+        self._size = layout.size(self.simulation.plant.order)
         self._row: Array | None = None
         self._recorder = rendering.Recorder(self.simulation) if render_mode else None
 
@@ -79,14 +82,15 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         value = scalar_action(action)
-        row = self._episode()
-        simulation = self.simulation
-        observation, reward, terminated, truncated = simulation.kernel.advance_one(row, value, simulation.settings)
+        row = self._episode() if self._row is None else self._row
+        simulation, observation = self.simulation, empty(self._size)
+        reward, terminated, truncated = simulation.advance_one(row, value, simulation.settings, observation)
         if self._recorder is not None:
             self._recorder.add(observation, value)
         info: dict[str, Any] = {}
         if terminated or truncated:
-            info["is_success"] = bool(self.simulation.success(self.rows, observation[None], terminated)[0])
+            success = truncated and simulation.success(self.rows, observation[None], terminated)[0]
+            info["is_success"] = bool(success)
         return observation, reward, terminated, truncated, info
 
     def render(self) -> Any:
@@ -102,7 +106,13 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 def scalar_action(action: Any) -> float:
     """The one number of an action of shape (1,). Raises ValueError if it is not a finite number or wrongly shaped."""
     try:
-        array = action if type(action) is np.ndarray else np.asarray(action)
+        (value,) = action.tolist()  # of an array: the fastest way to a number of Python
+        if action.dtype.kind == "f" and value - value == 0.0:  # neither infinite nor nan
+            return value
+    except (AttributeError, TypeError, ValueError):  # something else
+        pass
+    try:
+        array = np.asarray(action)
     except ValueError:  # ragged
         array = np.array(None)
     if array.shape == (1,) and array.dtype.kind in "fiu":

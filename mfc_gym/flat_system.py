@@ -68,7 +68,7 @@ class FlatSystem:
     region: Mapping[str, tuple[Expression, Expression]] = field(default_factory=dict)  # operating region
     bounds: Mapping[str, Expression] = field(default_factory=dict)  # of the uncertainty, see `mfc_gym.nominal`
     task: Task = field(default_factory=Task)
-    origin: "FlatSystem | None" = None  # of which this is a variation, see `mfc_gym.variation`
+    origin: "FlatSystem | None" = None  # of which this is a variation, see `mfc_gym.varying`
 
     def __post_init__(self) -> None:
         n = len(self.state)

@@ -28,6 +28,7 @@ class NominalModel:
     process_pole: float = 4.0  # 1/s
     derivatives: str = "exact"  # how xi_n is obtained, see `mfc_gym.simulation.Settings`
     noise: float = 0.0  # amplitude of the noise on y, see `mfc_gym.sensors`
+    state_noise: float = 0.0  # amplitude of the noise on x
 
     @property
     def name(self) -> str:
@@ -61,6 +62,10 @@ class NominalModel:
     def delta_3(self, x: Array) -> Array:
         """Bound of abs(Delta_3), shape (...), dimensionless."""
         return self._terms(x)[..., self.order + 3]
+
+    def spread(self, x: Array) -> Array:
+        """Bounds of abs(xi_n - xi) at one point, entry by entry, shape (n,)."""
+        return np.asarray(self.kernel.spread_at(np.asarray(x, dtype=float)))
 
     def f(self, x: Array) -> Array:
         """Nominal drift, shape (..., n)."""

@@ -4,7 +4,7 @@ import importlib
 import importlib.util
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cache, cached_property, partial
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mfc_gym import kernels
 from mfc_gym.systems import SYSTEMS
 from mfc_gym.task import Task
+from mfc_gym.variation import PLAIN, Variation
 
 if TYPE_CHECKING:
     from mfc_gym.flat_system import FlatSystem
@@ -25,31 +26,9 @@ GENERATORS = (  # the modules that take part in writing kernels
     *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity"),
     *("enclosure", "interval", "interval_function", "branch_and_bound"),
     *("domain", "falsification", "termwise", "triangle", "uncertainty"),
-    *("plant_entries", "toml_lines", "variation"),
+    *("plant_entries", "toml_lines", "variation", "varying"),
 )
 OWN: dict[str, "FlatSystem"] = {}  # the plants of `mfc_gym.register_system` by name
-
-
-@dataclass(frozen=True)
-class Variation:
-    """How the uncertainty of a plant is varied, plain data; the default is not at all. See `mfc_gym.variation`."""
-
-    unmatchedness: float = 1.0
-    moving: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # theta -> bounds of its rates, k = 1 ...
-    disturbances: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # channel -> bounds of d^(k), k = 0 ...
-
-
-PLAIN = Variation()
-
-
-def rate_name(name: str, k: int) -> str:
-    """Name of the k-th derivative of a theta."""
-    return f"{name}_t{k}" if k else name
-
-
-def disturbance_name(channel: str) -> str:
-    """Name of the theta that a disturbance is."""
-    return f"d_{channel}"
 
 
 @dataclass(frozen=True)
@@ -171,7 +150,7 @@ def load(name: str, variation: Variation = PLAIN, **options: Any) -> Plant:
 def _vary(system: "FlatSystem", variation: Variation) -> "FlatSystem":
     if variation == PLAIN:
         return system
-    from mfc_gym.variation import varied
+    from mfc_gym.varying import varied
 
     return varied(system, variation)
 

@@ -1,14 +1,15 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import driving, observation, plant, references, sensors, stepping
+from mfc_gym import driving, kernels, observation, plant, references, sensors, stepping
 from mfc_gym.actuator import Actuator
 from mfc_gym.checks import mapping, one_of, positive, vector
 from mfc_gym.differentiators import DIFFERENTIATORS
@@ -30,6 +31,7 @@ UNCERTAINTY = {  # of the distance of the declared set from the nominal theta, t
 DERIVATIVES = ("exact", *DIFFERENTIATORS)
 RESET_OPTIONS = ("initial_state", "theta", "reference_parameters", "initial_estimate")
 TABULATED = 20_000  # samples of the reference that are kept, at most
+RANGE = 0.999  # of the observation space: what the sensors can read
 DRAWS = 10_000  # attempts to draw an admissible theta
 
 
@@ -40,7 +42,7 @@ class Settings:
     system: str = "PerturbedChain"
     scenario: str = "paper"
     uncertainty: str = "hard"  # how far theta lies from its nominal value, see UNCERTAINTY
-    unmatchedness: float = 1.0  # 0: the same size of uncertainty enters where the input does, see `mfc_gym.variation`
+    unmatchedness: float = 1.0  # 0: the same size of uncertainty enters where the input does, see `mfc_gym.varying`
     theta: tuple[float, ...] | None = None
     schedule: Mapping[str, Any] | None = None  # theta -> {"wave": of `mfc_gym.waves`, its parameters}, added to it
     disturbance: Mapping[str, Any] | None = None  # "u" or a state -> the same, added to that row of x'
@@ -91,9 +93,9 @@ class Simulation:
             self.plant, self.reference, given.cost, self.sensors, given.derivatives, self.driving
         )
         self.low, self.high = self.plant.region(self.input_limit)
-        noise = 0.0 if self.sensors is None else self.sensors.noise
+        noise = (0.0, 0.0) if self.sensors is None else (self.sensors.noise, self.sensors.state_noise)
         poles = (task.model_pole, task.process_pole)
-        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, *poles, given.derivatives, noise)
+        self.nominal = NominalModel(self.plant.nominal, self.dt, self.input_limit, *poles, given.derivatives, *noise)
         p = len(self.plant.theta)
         self.beyond = given.uncertainty == "beyond"
         self.theta_set, usual = self._theta_of(UNCERTAINTY[given.uncertainty])
@@ -117,6 +119,10 @@ class Simulation:
         else:
             raise ValueError(f"`substeps` must be an integer >= 1, got {given.substeps!r}.")
         clock = [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort]
+        if self.sensors is not None:
+            space, measured = self.observation_space, slice(2 * self.plant.order)
+            middle, half = (space.high + space.low)[measured] / 2, (space.high - space.low)[measured] / 2
+            tuning += [*(middle - RANGE * half), *(middle + RANGE * half)]
         self.settings = np.array([*clock, *self.low, *self.high, *tuning, *self.driving.tuning])
 
     @classmethod
@@ -149,6 +155,11 @@ class Simulation:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Simulation, self._made_from
+
+    @cached_property
+    def advance_one(self) -> Callable[[Array, float, Array, Array], tuple[float, bool, bool]]:
+        """`advance_one` of the kernel, without the dispatch by type."""
+        return kernels.entry(self.kernel.advance_one, "(float64[::1], float64, float64[::1], float64[::1])")
 
     def tabulated(self) -> tuple[Array, Array]:
         """The reference parameters of the paper scenario, (r,), and their reference at the samples 0, 1, ..., (N, n+1)."""
@@ -208,7 +219,7 @@ class Simulation:
         options = mapping("options", options)
         if unknown := set(options) - set(RESET_OPTIONS):
             raise ValueError(f"`options` must be among {RESET_OPTIONS}, got {sorted(map(str, unknown))}.")
-        given = self._given(options, chosen, num_envs)
+        given = self._given(options, chosen, num_envs) if options else []
         rows = np.empty((len(chosen), self._start.size))
         rows[:] = self._start
         if self._drawn is not None:

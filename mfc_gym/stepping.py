@@ -1,9 +1,10 @@
 """The compiled step of the environment: zero-order hold, plant, clock, measurement, reward. Scalar and batch share it.
 
-An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), what moves, clock]; what all
+An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), what moves, clock]. What all
 episodes share is `settings`, [dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)] and, with sensors that are
-not ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator]. The sensor memory is
-[key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN: nothing measured yet.
+not ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator, low and high of what x and xi_n can read
+(4n)]. The sensor memory is [key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN:
+nothing measured yet.
 What moves: see `mfc_gym.driving`.
 """
 
@@ -97,11 +98,9 @@ def first_observation(row, settings):
 
 
 @njit(cache=True, nogil=True)
-def advance_one(row, action, settings):
-    """The scalar environment's step: (observation, reward, terminated, truncated)."""
-    observation = np.empty({size})
-    gain, terminated, truncated = advance(row, action, settings, observation)
-    return observation, gain, terminated, truncated
+def advance_one(row, action, settings, observation):
+    """The scalar environment's step, that is `advance`."""
+    return advance(row, action, settings, observation)
 
 
 {advance_all}
@@ -138,11 +137,15 @@ def advance_all(
         for j in range(count):
             i = np.uintp(first + j)
             {block_arguments} = {start_of_columns}
+        for j in range(count):
+            i = np.uintp(first + j)
             inside[j] = active[i]
             columns[{clock}, i] += 1.0 if active[i] else 0.0
         for j in range(count):
             i = np.uintp(first + j)
             u[j] = saturated(actions[i], settings)
+        for j in range(count):
+            i = np.uintp(first + j)
             tabulated = tabulated & {same_reference} & (columns[{clock}, i] < table.shape[0])
         integrate_block(x, theta, u, inside, count, settings)
         for j in range(count):
@@ -314,7 +317,8 @@ def sense(memory, {state}, y, u, sample, settings, observation):
         {observed_derivatives} = coordinates({state})
     else:
         observation[{n} : {n2}] = memory[{estimate}:{ring}]
-    for i in range(2 * {n}):
+    for i in range(2 * {n}):  # what is beyond a sensor's range reads as its end
+        observation[i] = min(max(observation[i], settings[{ranges} + i]), settings[{ranges} + 2 * {n} + i])
         memory[2 + i] = observation[i]
 """,
     "observe_plant": """memory = row[{sensor_start}:{clock}]
@@ -423,7 +427,9 @@ def load(
         "clock": clock,
         "size": 3 * n + 1,
     }
-    tuning = 6 + 2 * n + (0 if sensors is None else 4 + len(DIFFERENTIATORS[derivatives].settings))
+    ranges = 10 + 2 * n + len(DIFFERENTIATORS[derivatives].settings) if sensors else 0
+    tuning = ranges + 4 * n if sensors else 6 + 2 * n
+    words["ranges"] = ranges
     words["driven"] = driving.source(words, moving, n, p, base, tuning) if moving.moves else ""
     parts = {key: text.format(**words) for key, text in (SENSED if sensors else IDEAL).items()}
     parts |= {key: text.format(**words) for key, text in (driving.DRIVEN if moving.moves else HELD).items()}

@@ -173,8 +173,10 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def _info(self, observations: Array, terminated: Mask, ended: Mask, chosen: NDArray[np.intp]) -> dict[str, Any]:
         """What Gymnasium's vector environments make of the scalar environments' infos."""
         success = np.zeros(self.num_envs, dtype=bool)
-        ended_rows = np.ascontiguousarray(self._columns[:, chosen].T)
-        success[chosen] = self.simulation.success(ended_rows, observations[chosen], terminated[chosen])
+        last = chosen[~terminated[chosen]]  # on the horizon; leaving the region is no success
+        if last.size:
+            rows = np.ascontiguousarray(self._columns[:, last].T)
+            success[last] = self.simulation.success(rows, observations[last], terminated[last])
         info: dict[str, Any] = {"is_success": success, "_is_success": ended.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = np.full(self.num_envs, None, dtype=object)

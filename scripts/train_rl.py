@@ -2,9 +2,11 @@
 
 python scripts/train_rl.py ppo --out results/ppo
 python scripts/train_rl.py ppo --out results/ppo --resume
+python scripts/train_rl.py ppo --mode residual --derivatives ired --noise 1e-4 --out results/residual
 python scripts/evaluate_controller.py mfc ppo:results/ppo/best --scenario random --dt 0.02 --horizon 10
 """
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +18,14 @@ from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeR
 
 import mfc_gym  # noqa: F401 (registers the environments)
 from baselines import command_line
-from baselines.evaluation import writable
+from baselines.evaluation import parse, writable
 from baselines.hyperparameters import HYPERPARAMETERS, hyperparameters
+from baselines.residual import Base
 
 try:
     import torch
 
+    from baselines.modes import MODES
     from baselines.training import Plan, train
 except ModuleNotFoundError as error:
     sys.exit(f'error: {error.name} is not installed, run `pip install "mfc-gym[rl]"`')
@@ -39,6 +43,18 @@ class Arguments:
     """Steps of all environments together; left out: the table's"""
     seed: int = 0
     """Seed of the networks, the exploration and the training's episodes"""
+    mode: str = "direct"
+    """The action itself is learnt ("direct"), a bounded correction of a controller's ("residual"), or the controller is imitated
+    at first ("imitation"; then `timesteps` may be 0)"""
+    base: str = "mfc"
+    """The controller that is corrected or imitated, with options as in evaluate_controller: mfc:margin=1.2"""
+    bound: float = Base.bound
+    """Largest correction, in actions"""
+    fade: float = Plan.fade
+    """Errors, in standard deviations, below which the correction's bound shrinks with the error; 0: nowhere"""
+    observe: tuple[str, ...] = ()
+    """What is seen beside the observation and its error: integral (of the error), last-action, past:k (earlier observations);
+    output-only hides x and xi_n except y"""
     scenario: str = "random"
     """Theta, initial state and reference drawn at random ("random"), or the plant's own fixed episode ("paper")"""
     reference: str | None = None
@@ -51,6 +67,12 @@ class Arguments:
     """Bound of the input"""
     order: int | None = None
     """Order of the plant, where it has this option"""
+    derivatives: str | None = None
+    """How xi_n is obtained: exact, or by a differentiator on the sampled output (ired, hdd, ired-linear, high-gain, dirty)"""
+    noise: float | None = None
+    """Amplitude of uniform noise on the output (with a differentiator)"""
+    effort: float | None = None
+    """Weight of u^2 in the cost"""
     episodes: int = 64
     """Number of episodes of each evaluation"""
     patience: int | None = None
@@ -69,16 +91,28 @@ def plan(args: Arguments) -> Plan:
         raise ValueError(f"`algorithm` must be one of {', '.join(HYPERPARAMETERS)}, got {args.algorithm}.")
     given = hyperparameters(args.algorithm, args.env)
     timesteps = given.timesteps if args.timesteps is None else args.timesteps
-    for name, value in (("timesteps", timesteps), ("episodes", args.episodes), ("threads", args.threads)):
-        if value < 1:
-            raise ValueError(f"`{name}` must be at least 1, got {value}.")
+    if args.mode not in MODES:
+        raise ValueError(f"`mode` must be one of {', '.join(MODES)}, got {args.mode}.")
+    least = 0 if MODES[args.mode].clones else 1
+    for name, value, low in (
+        ("timesteps", timesteps, least),
+        ("episodes", args.episodes, 1),
+        ("threads", args.threads, 1),
+    ):
+        if value < low:
+            raise ValueError(f"`{name}` must be at least {low}, got {value}.")
     if args.seed < 0:
         raise ValueError(f"`seed` must be at least 0, got {args.seed}.")
     if args.patience is not None and args.patience < 1:
         raise ValueError(f"`patience` must be at least 1, got {args.patience}.")
-    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order")
+    names = ("scenario", "reference", "dt", "horizon", "input_limit", "order", "derivatives", "effort")
     options = {**given.environment, **{name: value for name in names if (value := getattr(args, name)) is not None}}
-    return Plan(args.algorithm, args.env, options, args.seed, timesteps, args.episodes, args.patience)
+    if args.noise is not None:
+        options["sensors"] = {"noise": args.noise}
+    if not (math.isfinite(args.fade) and args.fade >= 0):
+        raise ValueError(f"`fade` must be finite and >= 0, got {args.fade}.")
+    through = (args.mode, args.observe, Base(*parse(args.base), args.bound), args.fade)
+    return Plan(args.algorithm, args.env, options, args.seed, timesteps, args.episodes, args.patience, *through)
 
 
 def line(row: dict[str, Any]) -> str:

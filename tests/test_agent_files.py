@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,10 @@ import numpy as np
 import pytest
 
 from baselines.agent_files import DESCRIPTION, WEIGHTS, load_agent, save_agent
+from baselines.interface import Interface
+from baselines.observer import Observer
 from baselines.policy_network import Agent, Features
+from baselines.residual import Base
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
@@ -59,6 +63,25 @@ def an_agent(algorithm: str = "PPO", output: str = "clip") -> Agent:
         environment,
         {"seed": 0, "curve": [{"timesteps": 5, "return": -1.5}]},
     )
+
+
+def a_residual_agent() -> Agent:
+    """With everything the second format can state."""
+    rng = np.random.default_rng(0)
+    interface = Interface(
+        Observer(integral=True, last_action=True, past=2, dt=0.02),
+        Base("mfc", {"margin": 1.2, "switching": "sign", "poles": [-4.0, -4.0, -4.0]}, 0.2, (0.1, 0.2, 0.4)),
+    )
+    size = interface.size(10)
+    layers = ((rng.normal(size=(8, 5)), np.zeros(8)), (rng.normal(size=(1, 8)), np.zeros(1)))
+    features = Features(rng.normal(size=(5, size)), np.zeros(5))
+    return replace(an_agent(), features=features, layers=layers, interface=interface)
+
+
+@pytest.fixture
+def residual(tmp_path: Path) -> Path:
+    save_agent(a_residual_agent(), tmp_path / "residual")
+    return tmp_path / "residual"
 
 
 @pytest.fixture
@@ -220,6 +243,108 @@ def test_overlapping_tensors_are_refused(folder: Path) -> None:
     weigh(folder, len(text).to_bytes(8, "little") + text + data[8 + size :])
     with pytest.raises(ValueError, match="must be a safetensors file"):
         load_agent(folder)
+
+
+# -- the second format: what is seen, and the controller that is corrected -------------------------------------------------
+
+
+def base_of(**changes: Any) -> Callable[[Path], object]:
+    return lambda f: describe(f, lambda d: d["base"].update(changes))
+
+
+def observe_of(**changes: Any) -> Callable[[Path], object]:
+    return lambda f: describe(f, lambda d: d["observe"].update(changes))
+
+
+def old_format(folder: Path) -> None:
+    describe(folder, lambda d: d.update(format="mfc-gym agent 1"))
+
+
+REFUSED_RESIDUALS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "unknown controller": (base_of(controller="nobody"), "base.controller must be one of"),
+    "module as controller": (base_of(controller="os:system"), "base.controller must be one of"),
+    "list as controller": (base_of(controller=["mfc"]), "base.controller must be one of"),
+    "path in options": (base_of(options={"P": "../../etc/passwd"}), "must be text like"),
+    "object in options": (base_of(options={"P": {"__reduce__": "os.system"}}), "must be a number, a name or"),
+    "key that is no name": (base_of(options={"k; import os": 1}), "must be text like"),
+    "options that are a list": (base_of(options=["margin"]), "options must be an object"),
+    "endless gains": (base_of(options={"k": [1.0] * 10**5}), "at most 16 of these"),
+    "endless matrix": (base_of(options={"P": [[1.0] * 10**4]}), "at most 16 of these"),
+    "many options": (base_of(options={f"k{i}": 1 for i in range(10**4)}), "at most 16 keys"),
+    "no bound": (base_of(bound=None), "base.bound must be a number in"),
+    "zero bound": (base_of(bound=0.0), "base.bound must be a number in"),
+    "large bound": (base_of(bound=1e9), "base.bound must be a number in"),
+    "bound that is true": (base_of(bound=True), "base.bound must be a number in"),
+    "NaN bound": (base_of(bound=float("nan")), "the constant NaN"),
+    "zero fade": (base_of(fade=[0.0, 1.0, 1.0]), "must be a number in"),
+    "infinite fade": (base_of(fade=[1e400]), "the constant Infinity"),
+    "endless fade": (base_of(fade=[1.0] * 10**5), "at most 16 numbers"),
+    "unknown key of the base": (base_of(module="os"), "agent.base must have the keys"),
+    "base that is a name": (lambda f: describe(f, lambda d: d.update(base="mfc")), "agent.base must have the keys"),
+    "huge past": (observe_of(past=10**9), "an integer from 0 to 64"),
+    "negative past": (observe_of(past=-1), "an integer from 0 to 64"),
+    "past that is true": (observe_of(past=True), "an integer from 0 to 64"),
+    "another past": (observe_of(past=3), "a column for each signal"),
+    "text as flag": (observe_of(integral="yes"), "must be true or false"),
+    "zero dt": (observe_of(dt=0.0), "observe.dt must be a number in"),
+    "unknown word": (observe_of(theta=True), "agent.observe must have the keys"),
+    "missing base": (lambda f: describe(f, lambda d: d.pop("base")), "agent must have the keys"),
+    "first format with a base": (old_format, "agent must have the keys"),
+    "unknown format": (lambda f: describe(f, lambda d: d.update(format="mfc-gym agent 3")), "agent.format must be one of"),
+    "format that is a list": (lambda f: describe(f, lambda d: d.update(format=["x"])), "agent.format must be one of"),
+    "narrow features": (
+        lambda f: describe(f, lambda d: d["features"].update(matrix=[[1.0]] * 5)), "a column for each signal"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED_RESIDUALS)
+def test_residuals_refused_with_a_sentence(name: str, residual: Path, marker: Path) -> None:
+    damage, message = REFUSED_RESIDUALS[name]
+    damage(residual)
+    with pytest.raises(ValueError, match=message) as caught:
+        load_agent(residual)
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(str(caught.value)) < 1000
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"nominal": 1}, {"name": "single-loop"}, {"colour": 3}, {"margin": "large"}, {"margin": [1.0]},
+        {"k": "abc"}, {"k": [1.0]}, {"P": [[1.0, 2.0]]}, {"P": 1e299}, {"rate": 2.0}, {"switching": "os.system"},
+        {"model": ["nonlinear"]}, {"poles": [[1.0]]}, {"initial_model_state": [1.0]}, {"design": 1}, {"model_poles": [True]},
+    ],
+)  # fmt: skip
+def test_options_that_a_controller_does_not_take_are_refused_when_it_is_built(given: Any, residual: Path) -> None:
+    """What the schema lets through is plain data; the controller refuses it with a sentence of its own."""
+    import gymnasium as gym
+
+    import mfc_gym  # noqa: F401
+
+    base_of(options=given)(residual)
+    agent = load_agent(residual)
+    with pytest.raises(ValueError, match=r"must|take these options|could not convert"):
+        agent.made_for(gym.make("mfc_gym/PerturbedChain-v0"))
+
+
+def test_a_residual_is_saved_and_loaded(residual: Path) -> None:
+    saved, loaded = a_residual_agent().interface, load_agent(residual).interface
+    assert (loaded.observer, loaded.base) == (saved.observer, saved.base)
+    assert loaded.controller is None
+
+
+def test_the_first_format_is_still_read(folder: Path, rng: np.random.Generator) -> None:
+    observations = rng.normal(size=(10, 10))
+    expected = load_agent(folder).predict(observations)[0]
+
+    def first(description: dict[str, Any]) -> None:
+        description["format"] = "mfc-gym agent 1"
+        del description["observe"], description["base"]
+
+    describe(folder, first)
+    assert np.array_equal(load_agent(folder).predict(observations)[0], expected)
 
 
 def test_files_beside_the_two_are_never_opened(folder: Path, marker: Path) -> None:

@@ -119,7 +119,8 @@ def test_the_truth_is_out_of_reach(make: Callable[..., TrackingEnv]) -> None:
     reachable = {name for name in known if not name.startswith("__")} - generated - {"math", "np", "njit", "SOURCE"}
     assert reachable == {"NAME", "STATE", "ORDER", "EQUATIONS"}
     assert generated == {
-        *("coordinates", "lie_terms", "bounds", "nominal_drift", "input_field", "jacobian", "jacobian_at", "terms_at")
+        *("coordinates", "lie_terms", "bounds", "nominal_drift", "input_field", "jacobian", "jacobian_at", "terms_at"),
+        *("spread", "spread_at"),
     }
     assert set(nominal.kernel.EQUATIONS) == {"f", "g", "h"}
 

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import RecordEpisodeStatistics, TransformObservation
 
 import baselines
-from baselines import Trajectory
+from baselines import Trajectory, rollout_kernel
 from baselines.lyapunov import Array
 
 CHAIN = "mfc_gym/PerturbedChain-v0"
@@ -200,3 +200,16 @@ def test_batch_with_episodes_of_different_length(mode: AutoresetMode) -> None:
         assert_equal(one, other)
         assert np.isnan(batch.control[batch.steps[i] :, i]).all()
         assert np.isnan(batch.state[batch.steps[i] + 1 :, i]).all()
+
+
+def test_more_episodes_than_run_side_by_side() -> None:
+    """The compiled loop takes them in blocks; some leave the region, each at its own time."""
+    count = rollout_kernel.BLOCK + 2
+    options = {"scenario": "random", "dt": 0.05, "horizon": 1.0, "input_limit": 8.0}
+    envs = gym.make_vec("mfc_gym/PerturbedChain-v0", count, vectorization_mode="vector_entry_point", **options)
+    controller = baselines.make("mfc", envs)
+    starts = {"initial_state": np.random.default_rng(0).uniform(-2.0, 2.0, (count, 3))}
+    one, other = (baselines.rollout(envs, controller, 0, starts, compiled=compiled) for compiled in (True, False))
+    assert 0 < one.terminated.sum() < count
+    assert np.array_equal(one.terminated, other.terminated)
+    assert_equal(one, other)

@@ -15,6 +15,7 @@ from scipy.stats import t as student
 from baselines.statistics import (
     Array,
     bootstrap,
+    crossed_bootstrap,
     cvar,
     iqm,
     mean,
@@ -151,6 +152,28 @@ def test_bootstrap_is_stratified() -> None:
     assert len(set(map(float, bootstrap(mean, single, reps=100)))) == 1
 
 
+def test_crossed_bootstrap_draws_runs_and_episodes() -> None:
+    """For x_ij = a_i + b_j: Var = var(a)/R + var(b)/M. The sample variance has the deviation sqrt(2/reps) = 1 %: 5 of them."""
+    a, b = np.arange(6.0), np.arange(0.0, 40.0, 4.0)
+    replicates: list[Array] = []
+
+    def recorded(scores: Array) -> Array:
+        replicates.append(mean(scores))
+        return replicates[-1]
+
+    crossed_bootstrap(recorded, a[:, None] + b, reps=20_000)
+    assert np.var(replicates[0]) == pytest.approx(a.var() / 6 + b.var() / 10, rel=0.05)
+    tasks = (a[:, None] + b)[..., None] + np.arange(3.0)  # the same runs and episodes in all tasks: none averages out
+    crossed_bootstrap(recorded, tasks, reps=20_000)
+    assert np.var(replicates[-2]) == pytest.approx(a.var() / 6 + b.var() / 10, rel=0.05)
+
+
+def test_crossed_bootstrap_keeps_the_pairs() -> None:
+    y = np.random.default_rng(0).integers(-100, 100, size=(1, 20)).astype(float)
+    found = crossed_bootstrap(lambda p, q: mean(p) - mean(q), np.vstack([y + 1, y + 1, y + 1]), y, reps=200)
+    np.testing.assert_allclose(found, (1, 1, 1), rtol=0, atol=100 * EPS * 60)  # roundings of means of 60 numbers <= 100
+
+
 def test_coverage_of_a_normal_mean() -> None:
     """The bootstrap interval is the mean -+ z s sqrt((n-1)/n) / sqrt(n), which covers with Student's probability p. The
     count over M samples is binomial: 4 deviations, and 2/reps for the percentiles of a finite number of replicates."""
@@ -193,6 +216,8 @@ BAD: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
     (cvar, ([1.0], 0.0), r"`q` must be in \(0, 1\], got 0.0"),
     (bootstrap, (mean, np.ones((2, 2, 2))), r"`scores` must have shape .* got \[\(2, 2, 2\)\]"),
     (bootstrap, (mean,), r"`scores` must have shape .* got \[\]"),
+    (crossed_bootstrap, (mean, [1.0]), r"`scores` must have shape \(runs, episodes\[, tasks\]\).* got \[\(1,\)\]"),
+    (crossed_bootstrap, (mean, np.ones((1, 3)), np.ones((1, 2))), "with the same episodes, got"),
     (partial(bootstrap, reps=0), (mean, [1.0]), "`reps` must be at least 1, got 0"),
     (partial(bootstrap, level=1.0), (mean, [1.0]), r"`level` must be in \(0, 1\), got 1.0"),
     (paired_difference, ([1.0, 2.0], [1.0]), "`y` must have the shape of `x`"),

@@ -10,7 +10,7 @@ from mfc_gym.enclosure import check_bounds, falsify
 from mfc_gym.flat_system import FlatSystem, is_zero
 from mfc_gym.plant import build_system
 from mfc_gym.uncertainty import Uncertainty
-from mfc_gym.variation import disturbed, moving, turned
+from mfc_gym.varying import disturbed, moving, turned
 
 PLANTS = ("PerturbedChain", "FlexibleJoint", "Rossler", "VanDerPol")  # g constant, in several rows of Delta_u; y = x2
 

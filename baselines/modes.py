@@ -1,0 +1,29 @@
+"""How a training begins and what it acts through: one table, by name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from baselines.hyperparameters import Hyperparameters
+from baselines.training_env import Terms
+
+
+@dataclass(frozen=True)
+class Mode:
+    """What differs from the plain training of an algorithm."""
+
+    corrects: bool = False  # the network's output is a correction of the base controller's action
+    clones: bool = False  # the actor first imitates the base controller
+    terms: Terms = Terms()  # noqa: RUF009 (frozen)
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # fields of Hyperparameters, by algorithm
+
+    def applied(self, algorithm: str, given: Hyperparameters) -> Hyperparameters:
+        """The hyperparameters with this mode's changes."""
+        return replace(given, **self.changes.get(algorithm, {}))
+
+
+MODES: dict[str, Mode] = {
+    "direct": Mode(),
+    "residual": Mode(corrects=True, terms=Terms(fineness=20.0, output=0.001)),
+    "imitation": Mode(clones=True, changes={"ppo": {"log_std": (-2.0, -2.0), "learning_rate": 3e-4}}),
+}
