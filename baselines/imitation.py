@@ -60,7 +60,7 @@ def clone(model: Any, seen: Array, actions: Array, seed: int, given: Cloning) ->
     generator = torch.Generator().manual_seed(seed)
     inputs, targets = torch.from_numpy(seen.astype(np.float32)), torch.from_numpy(actions.astype(np.float32))
     variance = targets.var()
-    optimiser = torch.optim.Adam(_actor(model), lr=given.learning_rate)
+    optimiser = torch.optim.Adam(actor(model), lr=given.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, given.updates)
     model.policy.set_training_mode(True)
     for _ in range(given.updates):
@@ -77,7 +77,7 @@ def clone(model: Any, seen: Array, actions: Array, seed: int, given: Cloning) ->
         return float(((_mean(model, inputs) - targets) ** 2).mean() / variance)
 
 
-def _actor(model: Any) -> list[torch.nn.Parameter]:
+def actor(model: Any) -> list[torch.nn.Parameter]:
     """The parameters that the mean depends on."""
     if hasattr(model, "actor"):
         return list(model.actor.parameters())

@@ -14,6 +14,9 @@ class Mode:
 
     corrects: bool = False  # the network's output is a correction of the base controller's action
     clones: bool = False  # the actor first imitates the base controller
+    critic_first: int = (
+        0  # timesteps for which the actor stays as it is: a critic that knows nothing would spoil a clone
+    )
     terms: Terms = Terms()  # noqa: RUF009 (frozen)
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # fields of Hyperparameters, by algorithm
 
@@ -29,5 +32,10 @@ MODES: dict[str, Mode] = {
         terms=Terms(fineness=20.0, output=0.001),
         changes={"ppo": {"log_std": (-0.5, -1.2), "learning_rate": 5e-4}},
     ),
-    "imitation": Mode(clones=True, changes={"ppo": {"log_std": (-2.0, -2.0), "learning_rate": 3e-4}}),
+    "imitation": Mode(
+        clones=True,
+        critic_first=131_072,
+        terms=Terms(fineness=20.0),
+        changes={"ppo": {"log_std": (-2.5, -2.5), "learning_rate": 3e-4}},
+    ),
 }

@@ -13,7 +13,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from baselines import checkpoint, learner
 from baselines.agent_files import save_agent
 from baselines.hyperparameters import Hyperparameters, hyperparameters
-from baselines.imitation import Cloning, clone, record
+from baselines.imitation import Cloning, actor, clone, record
 from baselines.interface import Interface
 from baselines.modes import MODES
 from baselines.observer import observer
@@ -102,6 +102,8 @@ class Training:
         """Learn for one segment and evaluate; returns the new row of the curve."""
         plan, model, begin = self.plan, self.model, time.perf_counter()
         learner.begin_segment(model, plan.hyperparameters, plan.seed, plan.timesteps)
+        for parameter in actor(model):
+            parameter.requires_grad_(model.num_timesteps >= MODES[plan.mode].critic_first)
         length = min(plan.hyperparameters.segment, plan.timesteps - model.num_timesteps)
         model.learn(length, Listener(progress), log_interval=10, reset_num_timesteps=False)
         return self._row(begin)

@@ -32,10 +32,11 @@ SCALING = 2**29  # their first seed
 
 
 def features(id: str, options: Mapping[str, Any], seed: int, interface: Interface = PLAIN) -> Features:
-    """[view, e, last action, integral, what changed from frame to frame, base's action] of the interface's signals, with
+    """[view, e, last action, integral, backward differences of the frames, base's action] of the interface's signals, with
     e = xi_n - [y_d ... y_d^(n-1)], or y - y_d where only the output is seen.
 
-    Standardised over episodes of the controller that is corrected, or of the reference policy.
+    Standardised over episodes of the controller that is corrected, or of the reference policy. The differences, of order 1 to
+    `past`, are what the frames add to each other: a derivative hidden in small differences would never be found.
     """
     envs: Any = gym.make_vec(id, EPISODES, vectorization_mode="vector_entry_point", **options)
     interface = interface.made_for(envs)
@@ -81,7 +82,10 @@ def _matrix(interface: Interface, d: int) -> Array:
     error = whole[y : y + count] - whole[yd : yd + count]
     start = frame + observer.integral
     frames = [whole[:frame], *(whole[start + i * frame :][:frame] for i in range(observer.past))]
-    changes = [now - before for now, before in pairwise(frames)]
+    changes = []
+    for _ in range(observer.past):
+        frames = [now - before for now, before in pairwise(frames)]
+        changes.append(frames[0])
     return np.vstack([whole[:view], error, whole[view:start], *changes, whole[observer.size(d) :]])
 
 
