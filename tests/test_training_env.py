@@ -6,7 +6,9 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from baselines.agents import make_vec_env
-from baselines.training_env import BORDER, ESCAPE, INNER, VALUES, TrainingEnv, features, shape
+from baselines.interface import Interface
+from baselines.observer import Observer
+from baselines.training_env import BORDER, ESCAPE, INNER, VALUES, TrainingEnv, features, shape, widths
 
 ENV, GAMMA = "mfc_gym/PerturbedChain-v0", 0.98
 OPTIONS = {"scenario": "random", "dt": 0.05, "horizon": 2.0}
@@ -70,3 +72,25 @@ def test_the_border_costs_before_it_is_crossed(env: TrainingEnv) -> None:
     x = env.middle + np.array([[0.0], [INNER], [1.0]]) * env.half
     paid = env._paid(np.zeros(3, dtype=np.float32), x)
     assert np.allclose(paid, -VALUES * (1 - GAMMA) * BORDER * np.array([0.0, 0.0, 1.0]), rtol=1e-6, atol=1e-12)
+
+
+def test_past_frames_are_seen_as_backward_differences() -> None:
+    """That of order k is blind to polynomials of degree below k in time, and not to degree k."""
+    d, past = 10, 3
+    interface = Interface(Observer(last_action=True, past=past, dt=0.05))
+    seen = features(ENV, OPTIONS, 0, interface)
+    frame, start = d + 1, d + 3 + 1  # after [x, xi_n, y_d ..., e, last action]
+    assert seen.offset.size == start + past * frame
+    for degree in range(past + 1):
+        moments = -(np.arange(past + 1.0) ** degree) if degree else np.ones(past + 1)
+        signals = np.repeat(moments, frame)
+        for order in range(1, past + 1):
+            rows = slice(start + (order - 1) * frame, start + order * frame)
+            left = np.abs(seen.matrix[rows] @ signals) / np.abs(seen.matrix[rows]).max(axis=1)
+            assert (left < 1e-12).all() if order > degree else (left > 0.1).all() or degree > order
+
+
+def test_fading_is_in_units_of_the_reference_errors() -> None:
+    """Widths are the deviations by which the features divide e."""
+    seen = features(ENV, OPTIONS, 0)
+    assert np.allclose(widths(seen, Interface(), 3) * np.abs(seen.matrix[10:13]).max(axis=1), 1.0, rtol=1e-14, atol=0)
