@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import driving, kernels, observation, plant, references, sensors, stepping
+from mfc_gym import driving, kernels, observation, plant, references, sensing, sensors, stepping
 from mfc_gym.actuator import Actuator
 from mfc_gym.checks import mapping, one_of, positive, vector
 from mfc_gym.differentiators import DIFFERENTIATORS
@@ -105,7 +105,7 @@ class Simulation:
             "initial_state", origin if given.initial_state is None else given.initial_state, self.plant.order
         )
         rest = np.zeros(len(self.plant.parameters) - p)
-        memory = np.full(stepping.sensor_memory(self.plant.order, self.sensors), np.nan)
+        memory = np.full(sensing.sensor_memory(self.plant.order, self.sensors), np.nan)
         moving = np.zeros(self.driving.memory)
         self._start = np.concatenate([self.initial_state, self.theta, rest, parameters, memory, moving, [0.0]])
         self._check(self._start[None])
@@ -313,7 +313,7 @@ class Simulation:
         if self.sensors is not None:
             drawn.append((self._memory, 0.0, sensors.KEYS))
         if any(mover.family == "noise" for mover in self.driving.movers):
-            column = self._memory + stepping.sensor_memory(n, self.sensors) + len(self.driving.movers)
+            column = self._memory + sensing.sensor_memory(n, self.sensors) + len(self.driving.movers)
             drawn.append((column, 0.0, sensors.KEYS))
         if not drawn and not attempts:
             return None

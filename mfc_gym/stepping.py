@@ -2,10 +2,7 @@
 
 An episode is one row of numbers, [x (n), theta (p), reference parameters (r), sensor memory (m), what moves, clock]. What all
 episodes share is `settings`, [dt, substeps, input_limit, steps, cost_max, effort, low (n), high (n)] and, with sensors that are
-not ideal, [noise, state_noise, quantisation, dropout, settings of the differentiator, low and high of what x and xi_n can read
-(4n)]. The sensor memory is [key, last y received, last x (n), last xi_n (n), the delayed samples (delay (n+1))]; a y that is NaN:
-nothing measured yet.
-What moves: see `mfc_gym.driving`.
+not ideal, their own (`mfc_gym.sensing`). What moves: see `mfc_gym.driving`.
 """
 
 from itertools import product
@@ -14,7 +11,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_gym import driving, kernels
+from mfc_gym import driving, kernels, sensing
 from mfc_gym.differentiators import DIFFERENTIATORS
 from mfc_gym.driving import NOTHING, Driving
 from mfc_gym.plant import Plant
@@ -258,94 +255,11 @@ def draw_all(rows, streams, attempts, beyond, theta_low, theta_high, columns, lo
 '''
 
 
-IDEAL = {
-    "sensing": "",
-    "observe_plant": """{observed_state} = {state}
-    {observed_derivatives} = output_derivatives({arguments})""",
-    "observe_step": "observe_plant(row, settings, observation)",
-    "observe_block": """{observed_states} = {state_of_block}
-            {observed_derivatives_of_block} = output_derivatives({block_arguments})""",
-    "output_of_block": "observations[i, {output}]",
-}
-
-SENSED = {
-    "sensing": """from mfc_gym.differentiators import bound_from_input
-from mfc_gym.differentiators import {differentiator} as differentiate
-from mfc_gym.sensors import DROPOUT, OUTPUT, STATE, quantised, random
-from mfc_gym.sensors import {distribution} as noise
-from {nominal} import bounds, coordinates, lie_terms
-
-
-@njit
-def read(memory, observation):
-    # [x, xi_n] as last measured
-    for i in range(2 * {n}):
-        observation[i] = memory[2 + i]
-
-
-@njit
-def sense(memory, {state}, y, u, sample, settings, observation):
-    # measures x and y, steps the differentiator, writes [x, xi_n]; u acted over the last interval
-    key = memory[0]
-    received = quantised(y + settings[{sensors}] * noise(key, sample, OUTPUT), settings[{sensors} + 2])
-    if sample > 0.0 and random(key, sample, DROPOUT) < settings[{sensors} + 3]:
-        received = memory[1]
-    memory[1] = received
-    for i, value in enumerate(({state})):
-        observation[i] = value + settings[{sensors} + 1] * noise(key, sample, STATE + i)
-    if {delay} > 0:
-        for k in range({delay}):
-            slot = {ring} + k * {n1}
-            if sample == 0.0 or k == int(sample) % {delay}:
-                before = memory[slot + {n}]
-                memory[slot + {n}] = received
-                if sample > 0.0:
-                    received = before
-                for i in range({n}):
-                    before = memory[slot + i]
-                    memory[slot + i] = observation[i]
-                    if sample > 0.0:
-                        observation[i] = before
-    {state} = {observed_state}
-    if sample > 0.0:
-        alpha, beta = lie_terms({state})
-        known = bounds({state})
-        bound = bound_from_input(alpha, beta * u, known[0], known[1], {floor} * abs(beta) * settings[2])
-        tuning = settings[{sensors} + 4 :]
-        differentiate(memory[{estimate}:{ring}], received, bound, settings[0], tuning, observation[{n} : {n2}])
-    elif np.isnan(memory[{estimate}]):
-        {observed_derivatives} = coordinates({state})
-    else:
-        observation[{n} : {n2}] = memory[{estimate}:{ring}]
-    for i in range(2 * {n}):  # what is beyond a sensor's range reads as its end
-        observation[i] = min(max(observation[i], settings[{ranges} + i]), settings[{ranges} + 2 * {n} + i])
-        memory[2 + i] = observation[i]
-""",
-    "observe_plant": """memory = row[{sensor_start}:{clock}]
-    if np.isnan(memory[1]):
-        sense(memory, {state}, output(row), 0.0, 0.0, settings, observation)
-    else:
-        read(memory, observation)""",
-    "observe_step": "sense(row[{sensor_start}:{clock}], {state}, output(row), u, row[{clock}], settings, observation)",
-    "observe_block": """memory = columns[{sensor_start}:{clock}, i]
-            if active[i] or np.isnan(memory[1]):
-                y = output_derivatives({block_arguments})[0]
-                sense(memory, {state_of_block}, y, u[j], columns[{clock}, i], settings, observations[i])
-            else:
-                read(memory, observations[i])""",
-    "output_of_block": "output_derivatives({block_arguments})[0]",
-}
 HELD = {
     "integrate_step": """{state} = {state_of_row}
     {state}, inside = integrate({arguments}, u, dt / substeps, substeps, low, high)""",
     "drive_step": "",
 }
-FLOOR = 0.1  # of the largest y^(n) that the input can ask for: smallest bound of the differentiator
-
-
-def sensor_memory(n: int, sensors: Sensors | None) -> int:
-    """Numbers of sensor memory per episode, m."""
-    return 0 if sensors is None else 2 + 2 * n + sensors.delay * (n + 1)
 
 
 def corners(state: list[str], n: int, p: int, moving: Driving) -> list[str]:
@@ -377,7 +291,7 @@ def load(
     n, p, r = plant.order, len(plant.parameters), len(reference.defaults)
     name = reference.derivatives.__name__
     start = n + p + r
-    base = start + sensor_memory(n, sensors)
+    base = start + sensing.sensor_memory(n, sensors)
     state, clock = [f"x{i + 1}" for i in range(n)], base + moving.memory
     block = [*(f"x[{i}, j]" for i in range(n)), *(f"theta[{i}, j]" for i in range(p))]
     words = {
@@ -423,7 +337,7 @@ def load(
         "delay": sensors.delay if sensors else 0,
         "distribution": sensors.distribution if sensors else "",
         "differentiator": DIFFERENTIATORS[derivatives].update.__name__ if sensors else "",
-        "floor": FLOOR,
+        "floor": sensing.FLOOR,
         "clock": clock,
         "size": 3 * n + 1,
     }
@@ -431,7 +345,7 @@ def load(
     tuning = ranges + 4 * n if sensors else 6 + 2 * n
     words["ranges"] = ranges
     words["driven"] = driving.source(words, moving, n, p, base, tuning) if moving.moves else ""
-    parts = {key: text.format(**words) for key, text in (SENSED if sensors else IDEAL).items()}
+    parts = {key: text.format(**words) for key, text in (sensing.SENSED if sensors else sensing.IDEAL).items()}
     parts |= {key: text.format(**words) for key, text in (driving.DRIVEN if moving.moves else HELD).items()}
     parts["advance_all"] = (driving.ADVANCE_ALL if moving.moves else BLOCKS).format(**words, **parts)
     source = (TEMPLATE + EPISODES).format(**words, **parts)

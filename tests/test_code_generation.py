@@ -1,5 +1,6 @@
 """Generated kernels against SymPy, and the integrator in them against its theory."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -123,13 +124,16 @@ def test_chain_kernels_are_exact_on_a_dyadic_grid(n: int, rng: np.random.Generat
 
 
 def test_generated_text_reveals_nothing_to_the_controller() -> None:
-    """The nominal model's text is the same whatever Delta and theta are."""
+    """The nominal model's text is the same whatever Delta and theta are, but for the bound of xi_n - xi."""
     chain = perturbed_chain(3)
     other = FlatSystem(
         "perturbed chain", chain.state, chain.f, chain.g, chain.h, (0, 0, sp.Symbol("q") * chain.x[0]),
         theta={"q": (-1, 1)}, region=chain.region, bounds=chain.bounds,
     )  # fmt: skip
-    assert nominal_source(other) == nominal_source(chain)
+    texts = [
+        re.sub(r"(def spread\(.*?    return )[^\n]*", r"\1...", nominal_source(s), flags=re.S) for s in (other, chain)
+    ]
+    assert texts[0] == texts[1]
     assert plant_source(other) != plant_source(chain)
 
 
