@@ -32,10 +32,5 @@ MODES: dict[str, Mode] = {
         terms=Terms(fineness=20.0, output=0.001),
         changes={"ppo": {"log_std": (-0.5, -1.2), "learning_rate": 5e-4}},
     ),
-    "imitation": Mode(
-        clones=True,
-        critic_first=131_072,
-        terms=Terms(fineness=20.0),
-        changes={"ppo": {"log_std": (-2.5, -2.5), "learning_rate": 3e-4}},
-    ),
+    "imitation": Mode(clones=True, critic_first=131_072, terms=Terms(fineness=20.0)),
 }
