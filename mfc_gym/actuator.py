@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from typing import Any
 
-from numba import njit
+from mfc_gym.compiled import njit
 
 MOST = 1000  # samples of delay
 

@@ -14,8 +14,7 @@ HEADER = '''"""Generated from the equations of a plant. Do not edit."""
 import math
 
 import numpy as np
-from numba import njit
-
+from mfc_gym.compiled import entry, njit
 from mfc_gym.task import Task
 '''
 SCALAR = '@njit(error_model="numpy")'  # a division by zero gives inf, as any overflow does
@@ -126,15 +125,20 @@ def plant_source(system: FlatSystem) -> str:
                 "Delta_3 and delta_3 that say which theta are admissible, and Delta_3 itself.",
             ),
             _integrator(x, theta),
-            "\n\n@njit(cache=True, nogil=True)\ndef integrate_at(x, theta, u, h, substeps, low, high):\n"
-            f'    """(state after the substeps, 1.0 if it stayed inside)."""\n    {unpack}\n    out = np.empty({n + 1})\n'
-            f"    {', '.join(f'out[{i}]' for i in range(n))}, inside = "
-            f"integrate({', '.join(arguments)}, u, h, substeps, low, high)\n"
-            f"    out[{n}] = 1.0 if inside else 0.0\n    return out\n",
+            '\n\n@entry("void(float64[:, ::1], float64[:, ::1], float64[::1], float64, int64, float64[::1], float64[::1], '
+            'float64[:, ::1])")\ndef integrate_all(states, thetas, u, h, substeps, low, high, out):\n'
+            '    """(State after the substeps, 1.0 if it stayed inside) of each row."""\n    for k in range(out.shape[0]):\n'
+            f"        x, theta = states[k], thetas[k]\n        {unpack}\n"
+            f"        {', '.join(f'out[k, {i}]' for i in range(n))}, inside = "
+            f"integrate({', '.join(arguments)}, u[k], h, substeps, low, high)\n"
+            f"        out[k, {n}] = 1.0 if inside else 0.0\n",
+            '\n\n@entry("void(float64[:, ::1], float64[:, ::1], float64[:, ::1])")\n'
+            'def output_derivatives_all(states, thetas, out):\n    """tau_n(x) of each row."""\n'
+            f"    for k in range(out.shape[0]):\n        x, theta = states[k], thetas[k]\n        {unpack}\n"
+            f"        {', '.join(f'out[k, {i}]' for i in range(n))}, = output_derivatives{call}\n",
             array_function(
                 "uncertainty_at", [f"uncertainty{call}"], "x, theta", unpack, 3, "(Delta_1, Delta_3, phi_m)."
             ),
-            array_function("output_derivatives_at", [f"output_derivatives{call}"], "x, theta", unpack, n, "tau_n(x)."),
             array_function(
                 "flow_at",
                 [

@@ -30,8 +30,9 @@ from dataclasses import dataclass, field
 from math import comb, factorial
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from mfc_gym.compiled import njit
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Array, float, float, float, Array, Array], None]

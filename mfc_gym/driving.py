@@ -1,9 +1,9 @@
 """The compiled step where the input or the uncertain parameters move within the sampling interval.
 
 So do disturbances, scheduled parameters and an actuator with a lag. Further columns of an episode's row: base [the drawn value of
-every theta that moves], key of what is random, and the actuator's memory [last input, distance of the lag from its end, the
-delayed inputs]. Further settings: parameters of the waves, then those of the actuator. The integrator is Runge-Kutta's, its
-stages taken at the times they stand for.
+every theta that moves], key of what is random, the actuator's memory [last input, distance of the lag from its end, the delayed
+inputs], and room for one wave with its derivatives. Further settings: parameters of the waves, then those of the actuator. The
+integrator is Runge-Kutta's, its stages taken at the times they stand for.
 """
 
 import math
@@ -49,7 +49,12 @@ class Driving:
     @property
     def memory(self) -> int:
         """Numbers per episode, see above."""
-        return len(self.movers) + 1 + self.actuator.memory if self.moves else 0
+        return len(self.movers) + 1 + self.actuator.memory + self.jets if self.moves else 0
+
+    @property
+    def jets(self) -> int:
+        """Numbers that a wave and its derivatives take, at most."""
+        return max((len(mover.columns) for mover in self.movers), default=0)
 
     def substeps(self, dt: float) -> int:
         """As many as integrate what moves, too, below the default tolerance: steps of 1/20 of its time constant."""
@@ -81,7 +86,7 @@ from {plant} import field
 @njit
 def drive(row, begin, s, settings):
     """Theta at the time begin + s, as the sampling interval from `begin` on has it."""
-    out = np.empty({jets})
+    out = row[{jet} : {jet} + {jets}]
 {drive}
 
 
@@ -118,7 +123,7 @@ def integrate_driven(row, u, gap, settings):
     return {state}, True
 
 
-@njit(cache=True, nogil=True)
+@entry("void(float64[:, ::1], float64[::1])")
 def set_all(rows, settings):
     """Notes theta as that about which it moves, and lets it."""
     for i in range(rows.shape[0]):
@@ -127,31 +132,35 @@ def set_all(rows, settings):
         drive(row, row[{clock}] * settings[0], 0.0, settings)
 
 
-@njit(cache=True, nogil=True)
+@entry("void(float64[:, ::1], float64[::1])")
 def start_all(rows, settings):
     """The same at the beginning of episodes, the actuator at rest."""
-    rows[:, {last} : {last} + {actuator_memory}] = 0.0
+    for i in range(rows.shape[0]):
+        for k in range({last}, {last} + {actuator_memory}):
+            rows[i, k] = 0.0
     set_all(rows, settings)
 '''
 
-ADVANCE_ALL = '''@njit(cache=True, nogil=True)
+ADVANCE_ALL = '''@entry({advance_all_types})
 def advance_all(
-    columns, actions, settings, active, given, table, observations, rewards, terminated, truncated, start, stop
+    columns, actions, settings, active, given, table, observations, rewards, terminated, truncated, work, start, stop
 ):
     """`advance` of the episodes start to stop, one after the other; one that is not active is observed as it is.
 
     Episodes are columns here, shape (row, N).
     """
-    row = np.empty({clock} + 1)
+    row = work[0, : {clock} + 1]
     for i in range(start, stop):
-        row[:] = columns[:, i]
+        for k in range(row.size):
+            row[k] = columns[k, i]
         if active[i]:
             rewards[i], terminated[i], truncated[i] = advance(row, actions[i], settings, observations[i])
         else:
             rewards[i], terminated[i], truncated[i] = 0.0, False, False
             observe_plant(row, settings, observations[i])
             observe_reference(row, row[{clock}] * settings[0], observations[i])
-        columns[:, i] = row
+        for k in range(row.size):
+            columns[k, i] = row[k]
 '''
 
 
@@ -209,7 +218,8 @@ def source(words: Mapping[str, Any], moving: Driving, n: int, p: int, base: int,
     return TEMPLATE.format(
         **words,
         imports="\n".join(imports),
-        jets=max((len(mover.columns) for mover in movers), default=1),
+        jet=last + actuator.memory,
+        jets=moving.jets,
         drive="\n".join(drive) or "    pass",
         note="\n".join(f"        row[{base + i}] = row[{n + m.columns[0]}]" for i, m in enumerate(movers))
         or "        pass",

@@ -1,11 +1,12 @@
 """The environment: one perturbed flat plant, one episode at a time."""
 
 import math
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy import empty
 from numpy.typing import NDArray
 
 from mfc_gym import observation as layout
@@ -34,8 +35,8 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         self.render_mode = render_mode
         self.action_space = self.simulation.action_space  # type: ignore[assignment]
         self.observation_space = self.simulation.observation_space  # type: ignore[assignment]
-        self._size = layout.size(self.simulation.plant.order)
-        self._row: Array | None = None
+        self._memory = self.simulation.memory()
+        self._begun = False
         self._recorder = rendering.Recorder(self.simulation) if render_mode else None
 
     @property
@@ -56,7 +57,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
     @property
     def output(self) -> float:
         """The true y = h(x) now."""
-        return float(self.simulation.kernel.outputs(self.rows)[0])
+        return float(self.simulation.outputs(self.rows)[0])
 
     @property
     def theta(self) -> Array:
@@ -74,22 +75,29 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
-        self._row = self.simulation.begin(OneStream(lambda: self.np_random), options)[0]
-        observation = self.simulation.kernel.first_observation(self._row, self.simulation.settings)
+        row = self.simulation.begin(OneStream(lambda: self.np_random), options)[0]
+        self._memory[: row.size] = row
+        self._begun = True
+        self.simulation.kernel.first_observation(row, self.simulation.settings, self._observation)
+        self._memory[: row.size] = row
         if self._recorder is not None:
-            self._recorder.begin(observation)
-        return observation, {}
+            self._recorder.begin(self._observation)
+        return self._observation.copy(), {}
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        value = scalar_action(action)
-        row = self._episode() if self._row is None else self._row
-        simulation, observation = self.simulation, empty(self._size)
-        reward, terminated, truncated = simulation.advance_one(row, value, simulation.settings, observation)
+        try:
+            (value,) = action.tolist()  # of an array: the fastest way to a number of Python
+            if type(value) is not float or value - value != 0.0:
+                value = scalar_action(action)
+        except (AttributeError, TypeError, ValueError):  # something else
+            value = scalar_action(action)
+        reward, terminated, truncated = self._advance(value)
+        observation = self._observation.copy()
         if self._recorder is not None:
             self._recorder.add(observation, value)
         info: dict[str, Any] = {}
         if terminated or truncated:
-            success = truncated and simulation.success(self.rows, observation[None], terminated)[0]
+            success = truncated and self.simulation.success(self.rows, observation[None], terminated)[0]
             info["is_success"] = bool(success)
         return observation, reward, terminated, truncated, info
 
@@ -98,19 +106,29 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
         return None if self._recorder is None else self._recorder.picture()
 
     def _episode(self) -> Array:
-        if self._row is None:
+        """The row of `mfc_gym.stepping`."""
+        if not self._begun:
             raise gym.error.ResetNeeded("Call reset before step.")
-        return self._row
+        return self._memory[: self.simulation.row_size]
+
+    @cached_property
+    def _observation(self) -> Array:
+        """Where the compiled step writes it."""
+        return self._memory[-layout.size(self.simulation.plant.order) :]
+
+    @cached_property
+    def _advance(self) -> Callable[[float], tuple[float, bool, bool]]:
+        """The compiled step: (reward, terminated, truncated) of an action."""
+        self._episode()
+        return self.simulation.kernel.advance_one.bind(self._memory)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what refers to this very memory."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_advance", "_observation")}
 
 
 def scalar_action(action: Any) -> float:
     """The one number of an action of shape (1,). Raises ValueError if it is not a finite number or wrongly shaped."""
-    try:
-        (value,) = action.tolist()  # of an array: the fastest way to a number of Python
-        if action.dtype.kind == "f" and value - value == 0.0:  # neither infinite nor nan
-            return value
-    except (AttributeError, TypeError, ValueError):  # something else
-        pass
     try:
         array = np.asarray(action)
     except ValueError:  # ragged

@@ -15,8 +15,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from numba import config
-
 _lock = threading.RLock()
 
 
@@ -80,7 +78,7 @@ def load(name: str, source: Callable[[], str]) -> ModuleType:
             return _execute(module, lambda: exec(compile(code, f"<{name}>", "exec"), module.__dict__))
         path = folder / f"{name}.py"
         if not path.exists():
-            _write(path, source())
+            write(path, source().encode("utf-8"))
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None
         assert spec.loader is not None
@@ -89,24 +87,16 @@ def load(name: str, source: Callable[[], str]) -> ModuleType:
         return _execute(module, partial(spec.loader.exec_module, module))
 
 
-def entry(function: Any, signature: str) -> Callable[..., Any]:
-    """The compiled function for arguments of just these types, which are not looked at: half the cost of a call by type.
-
-    With Numba's NUMBA_DISABLE_JIT it is the Python function itself.
-    """
-    return function if config.DISABLE_JIT else function.compile(signature)
-
-
 def restore(name: str, source: str) -> ModuleType:
     """The module again, from what `Kernel.__reduce__` kept."""
     return load(name, lambda: source)
 
 
-def _write(path: Path, text: str) -> None:
+def write(path: Path, content: bytes) -> None:
     """Complete or not at all, also when several processes write the same file."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
         try:
-            file.write(text)
+            file.write(content)
         except BaseException:
             os.unlink(file.name)
             raise

@@ -12,8 +12,9 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from mfc_gym.compiled import njit
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

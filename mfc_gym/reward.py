@@ -1,6 +1,6 @@
 """The tracking reward: minus the integral of a bounded cost."""
 
-from numba import njit
+from mfc_gym.compiled import njit
 
 
 @njit

@@ -9,7 +9,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from mfc_gym.compiled import njit
 
 KEYS = 2**53  # keys are integers below this, exact in float64
 DROPOUT, OUTPUT, STATE = 0, 1, 2  # channels; the entries of x follow STATE

@@ -1,15 +1,14 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import driving, kernels, observation, plant, references, sensing, sensors, stepping
+from mfc_gym import driving, observation, plant, references, sensing, sensors, stepping
 from mfc_gym.actuator import Actuator
 from mfc_gym.checks import mapping, one_of, positive, vector
 from mfc_gym.differentiators import DIFFERENTIATORS
@@ -156,10 +155,18 @@ class Simulation:
     def __reduce__(self) -> tuple[Any, ...]:
         return Simulation, self._made_from
 
-    @cached_property
-    def advance_one(self) -> Callable[[Array, float, Array, Array], tuple[float, bool, bool]]:
-        """`advance_one` of the kernel, without the dispatch by type."""
-        return kernels.entry(self.kernel.advance_one, "(float64[::1], float64, float64[::1], float64[::1])")
+    def memory(self) -> Array:
+        """What the scalar environment's step works in: [row, settings, observation]."""
+        size = self._start.size + self.settings.size + observation.size(self.plant.order)
+        found = np.zeros(size)
+        found[self._start.size : self._start.size + self.settings.size] = self.settings
+        return found
+
+    def outputs(self, rows: Array) -> Array:
+        """The true y of episodes, shape (m,)."""
+        y = np.empty(len(rows))
+        self.kernel.outputs(rows, y)
+        return y
 
     def tabulated(self) -> tuple[Array, Array]:
         """The reference parameters of the paper scenario, (r,), and their reference at the samples 0, 1, ..., (N, n+1)."""
@@ -185,20 +192,21 @@ class Simulation:
         theta = np.vstack([low, high, usual, rng.uniform(low, high, (61, len(low)))])
         x = centre + half * rng.choice([-1.0, 0.0, 1.0], (64, n))
         x[0], x[1] = centre - half, centre + half
-        xi_n = np.abs([self.plant.kernel.output_derivatives_at(a, b) for a in x for b in theta[:16]])
+        xi_n = np.empty((64 * 16, n))
+        self.plant.kernel.output_derivatives_all(np.repeat(x, 16, axis=0), np.tile(theta[:16], (64, 1)), xi_n)
         extremes = self.reference.extremes(self.reference_parameters)
         tables = np.empty((len(extremes), 64, n + 1))
         for parameters, table in zip(extremes, tables, strict=True):
             self.kernel.tabulate(parameters, self.horizon / 63, table)
         yd = np.abs(tables).max(axis=(0, 1))
-        above = np.concatenate([centre + half, 2.0 * xi_n.max(axis=0), 2.0 * yd + 1.0])
+        above = np.concatenate([centre + half, 2.0 * np.abs(xi_n).max(axis=0), 2.0 * yd + 1.0])
         below = np.concatenate([centre - half, -above[n:]])
         assert above.size == observation.size(n)
         return spaces.Box(below, above, dtype=np.float64)
 
     def success(self, rows: Array, observations: Array, terminated: Any) -> Any:
         """Whether episodes ended on the horizon, with abs(y - y_d) of the true y within the task's success error; shape (m,)."""
-        error = np.abs(self.kernel.outputs(rows) - observations[:, 2 * self.plant.order])
+        error = np.abs(self.outputs(rows) - observations[:, 2 * self.plant.order])
         return np.logical_not(terminated) & (error <= self.plant.task.success_error)
 
     # -- beginning episodes -------------------------------------------------------------------------------------------
@@ -332,9 +340,11 @@ class Simulation:
 
     def _check_theta(self, rows: Array, chosen: Indices = (0,)) -> None:
         where = [""] if len(rows) == 1 else [f" in environment {i}" for i in chosen]
-        i, Delta_3, delta_3 = self.kernel.inadmissible(rows, self.beyond)
+        found = np.empty(2)
+        i = self.kernel.inadmissible(rows, self.beyond, found)
         moves = " where it is scheduled to go" if any(mover.declared for mover in self.driving.movers) else ""
         if i >= 0:
+            Delta_3, delta_3 = found
             raise ValueError(
                 f"`theta` must keep abs(Delta_3) <= delta_3 = {delta_3:g}, "
                 f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{moves}{where[i]}."

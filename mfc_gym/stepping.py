@@ -22,10 +22,15 @@ Array = NDArray[np.float64]
 
 BLOCK = 128  # episodes that are integrated side by side, so that the compiler uses vector instructions
 
+ADVANCE_ALL_TYPES = (
+    "void(float64[:, ::1], float64[::1], float64[::1], boolean[::1], float64[::1], float64[:, ::1], float64[:, ::1], "
+    "float64[::1], boolean[::1], boolean[::1], float64[:, ::1], int64, int64)"
+)
+
 TEMPLATE = '''"""Generated: the environment step of a plant following the reference {reference!r}. Do not edit."""
 
 import numpy as np
-from numba import njit
+from mfc_gym.compiled import entry, method, njit
 
 from mfc_gym.references import {reference} as reference
 from mfc_gym.reward import reward
@@ -85,19 +90,17 @@ def advance(row, action, settings, observation):
     return conclude(output(row) - observation[{reference_start}], u, inside, row[{clock}], settings)
 
 
-@njit(cache=True, nogil=True)
-def first_observation(row, settings):
-    """The observation at time 0."""
-    observation = np.empty({size})
+@entry("void(float64[::1], float64[::1], float64[::1])")
+def first_observation(row, settings, observation):
+    """Writes the observation at time 0."""
     observe_plant(row, settings, observation)
     observe_reference(row, 0.0, observation)
-    return observation
 
 
-@njit(cache=True, nogil=True)
-def advance_one(row, action, settings, observation):
-    """The scalar environment's step, that is `advance`."""
-    return advance(row, action, settings, observation)
+@method({memory_size})
+def advance_one(memory, action):
+    """The scalar environment's step, that is `advance` in the memory [row, settings, observation]."""
+    return advance(memory[:{row_size}], action, memory[{row_size}:{observation_start}], memory[{observation_start}:])
 
 
 {advance_all}
@@ -106,28 +109,29 @@ def advance_one(row, action, settings, observation):
 
 BLOCKS = '''@njit(error_model="numpy")
 def integrate_block(x, theta, u, inside, count, settings):
-    """`integrate` of `count` episodes side by side; x (n, {block}) and `inside` are updated, what is not inside stays."""
+    """`integrate` of `count` episodes side by side; x (n, ...) and `inside` (1.0 or 0.0) are updated, what is not inside stays."""
     substeps, low, high = int(settings[1]), {low}, {high}
     h = settings[0] / substeps
     for _ in range(substeps):
         for j in range(count):
             {next_state} = rk4({block_arguments}, u[j], h)
             within = is_inside({next_state}, low, high)
-            moves = inside[j] & (within | is_near({next_state}, low, high))
+            moves = (inside[j] > 0.0) & (within | is_near({next_state}, low, high))
 {block_update}
-            inside[j] = inside[j] & within
+            inside[j] = inside[j] if within else 0.0
 
 
-@njit(cache=True, nogil=True)
+@entry({advance_all_types})
 def advance_all(
-    columns, actions, settings, active, given, table, observations, rewards, terminated, truncated, start, stop
+    columns, actions, settings, active, given, table, observations, rewards, terminated, truncated, work, start, stop
 ):
     """`advance` of the episodes start to stop; one that is not active is observed as it is, its action does not count.
 
     Episodes are columns here, shape (row, N). The reference of those whose parameters are as given, (r,), is read from
-    the table, (samples, n+1). Short loops over a block, one after the other, become vector instructions.
+    the table, (samples, n+1). Short loops over a block, one after the other, become vector instructions; they work in `work`,
+    of shape WORK.
     """
-    x, theta, u, inside = np.empty(({n}, {block})), np.empty(({p}, {block})), np.empty({block}), np.empty({block}, np.bool_)
+    x, theta, u, inside = work[:{n}], work[{n} : {n} + {p}], work[{n} + {p}], work[{n} + {p} + 1]
     for first in range(start, stop, {block}):
         count = min({block}, stop - first)
         tabulated = True
@@ -136,7 +140,7 @@ def advance_all(
             {block_arguments} = {start_of_columns}
         for j in range(count):
             i = np.uintp(first + j)
-            inside[j] = active[i]
+            inside[j] = 1.0 if active[i] else 0.0
             columns[{clock}, i] += 1.0 if active[i] else 0.0
         for j in range(count):
             i = np.uintp(first + j)
@@ -162,23 +166,25 @@ def advance_all(
         for j in range(count):
             i = np.uintp(first + j)
             error = {output_of_block} - observations[i, {reference_start}]
-            gain, ends, is_last = conclude(error, u[j], inside[j], columns[{clock}, i], settings)
+            gain, ends, is_last = conclude(error, u[j], inside[j] > 0.0, columns[{clock}, i], settings)
             rewards[i] = gain if active[i] else 0.0
             terminated[i] = ends & active[i]
             truncated[i] = is_last & active[i]
 '''
 
-EPISODES = '''@njit(cache=True, nogil=True)
+EPISODES = '''WORK = {work}
+
+
+@entry("void(float64[::1], float64, float64[:, ::1])")
 def tabulate(parameters, dt, table):
     """The reference at the samples 0, 1, ..."""
     for k in range(table.shape[0]):
         reference(k * dt, parameters, table[k])
 
 
-@njit(cache=True, nogil=True)
-def observe_all(columns, settings, chosen, observations):
-    """The observations of the chosen episodes as they are."""
-    row = np.empty({clock} + 1)
+@entry("void(float64[:, ::1], float64[::1], boolean[::1], float64[::1], float64[:, ::1])")
+def observe_all(columns, settings, chosen, row, observations):
+    """The observations of the chosen episodes as they are; `row` is worked in."""
     for i in range(observations.shape[0]):
         if chosen[i]:
             for k in range(row.size):
@@ -189,13 +195,11 @@ def observe_all(columns, settings, chosen, observations):
                 columns[k, i] = row[k]
 
 
-@njit(cache=True, nogil=True)
-def outputs(rows):
+@entry("void(float64[:, ::1], float64[::1])")
+def outputs(rows, out):
     """The true y of each row."""
-    out = np.empty(rows.shape[0])
     for i in range(rows.shape[0]):
         out[i] = output(rows[i])
-    return out
 
 
 @njit
@@ -220,17 +224,19 @@ def is_admissible(row, beyond):
     return allowed and ({outside} or not np.isnan(offence(row, False)[0])) if beyond else allowed
 
 
-@njit(cache=True, nogil=True)
-def inadmissible(rows, beyond):
-    """(index, Delta_3, delta_3) of the first row with an offence; index -1: there is none."""
+@entry("int64(float64[:, ::1], boolean, float64[::1])")
+def inadmissible(rows, beyond, found):
+    """Index of the first row with an offence, which is written to `found`; -1: there is none."""
     for i in range(rows.shape[0]):
-        Delta_3, delta_3 = offence(rows[i], beyond)
-        if not np.isnan(Delta_3):
-            return i, Delta_3, delta_3
-    return -1, 0.0, 0.0
+        found[0], found[1] = offence(rows[i], beyond)
+        if not np.isnan(found[0]):
+            return i
+    return -1
 
 
-@njit(cache=True, nogil=True)
+@entry(
+    "boolean(float64[:, ::1], uint64[:, ::1], int64, boolean, float64[::1], float64[::1], int64[::1], float64[::1], float64[::1])"
+)
 def draw_all(rows, streams, attempts, beyond, theta_low, theta_high, columns, low, high):
     """Draws, each row from its own stream, theta and then the numbers of the columns (-1: dropped), uniformly.
 
@@ -304,6 +310,8 @@ def load(
         "n2": 2 * n,
         "p": p,
         "block": BLOCK,
+        "work": (n + p + 2, max(BLOCK, clock + 1)),
+        "advance_all_types": repr(ADVANCE_ALL_TYPES),
         "state": ", ".join(state),
         "state_of_row": ", ".join(f"row[{i}]" for i in range(n)),
         "state_of_block": ", ".join(block[:n]),
@@ -339,17 +347,30 @@ def load(
         "differentiator": DIFFERENTIATORS[derivatives].update.__name__ if sensors else "",
         "floor": sensing.FLOOR,
         "clock": clock,
-        "size": 3 * n + 1,
     }
     ranges = 10 + 2 * n + len(DIFFERENTIATORS[derivatives].settings) if sensors else 0
     tuning = ranges + 4 * n if sensors else 6 + 2 * n
     words["ranges"] = ranges
+    words["row_size"] = clock + 1
+    words["observation_start"] = clock + 1 + tuning + len(moving.tuning)
+    words["memory_size"] = words["observation_start"] + 3 * n + 1
     words["driven"] = driving.source(words, moving, n, p, base, tuning) if moving.moves else ""
     parts = {key: text.format(**words) for key, text in (sensing.SENSED if sensors else sensing.IDEAL).items()}
     parts |= {key: text.format(**words) for key, text in (driving.DRIVEN if moving.moves else HELD).items()}
     parts["advance_all"] = (driving.ADVANCE_ALL if moving.moves else BLOCKS).format(**words, **parts)
     source = (TEMPLATE + EPISODES).format(**words, **parts)
     library = kernels.files(
-        "mfc_gym", "references", "reward", "sensors", "differentiators", "streams", "waves", "actuator"
+        "mfc_gym",
+        *(
+            "compiled",
+            "machine_code",
+            "references",
+            "reward",
+            "sensors",
+            "differentiators",
+            "streams",
+            "waves",
+            "actuator",
+        ),
     )
     return kernels.load(f"mfc_step_{kernels.key(source, kernels.fingerprint(*library))}", lambda: source)

@@ -9,8 +9,9 @@ from typing import Protocol
 
 import numpy as np
 from gymnasium.utils import seeding
-from numba import njit
 from numpy.typing import NDArray
+
+from mfc_gym.compiled import njit
 
 Words = NDArray[np.uint64]
 Chosen = Sequence[int] | NDArray[np.intp]

@@ -71,6 +71,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             work = num_envs * (self.simulation.substeps + 4)
             threads = min(cores(), max(1, work // THREAD_WORK))
         self._spans = spans(num_envs, _count("threads", threads))
+        self._work = [np.empty(self.simulation.kernel.WORK) for _ in self._spans]
 
     @property
     def nominal(self) -> NominalModel:
@@ -91,7 +92,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     @property
     def output(self) -> Array:
         """The true y = h(x) now, shape (num_envs,)."""
-        return np.asarray(self.simulation.kernel.outputs(self.rows))
+        return self.simulation.outputs(self.rows)
 
     @property
     def theta(self) -> Array:
@@ -158,15 +159,18 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._columns[:, chosen] = self.simulation.begin(self._streams, options, chosen, self.num_envs).T
 
     def _observe(self, chosen: Mask, observations: Array) -> None:
-        self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, observations)
+        row = np.empty(self.simulation.row_size)
+        self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, row, observations)
 
     def _advance(self, values: Array, *results: Array) -> None:
         """The kernel, the first span here and the others in further threads."""
         simulation = self.simulation
-        arguments: list[Any] = [self._columns, values, simulation.settings, self._running, *self._tabulated, *results]
+        advance = simulation.kernel.advance_all.bind(
+            self._columns, values, simulation.settings, self._running, *self._tabulated, *results
+        )
         first, *others = self._spans
-        pending = [workers().submit(simulation.kernel.advance_all, *arguments, *span) for span in others]
-        simulation.kernel.advance_all(*arguments, *first)
+        pending = [workers().submit(advance, work, *span) for work, span in zip(self._work[1:], others, strict=True)]
+        advance(self._work[0], *first)
         for span in pending:
             span.result()
 

@@ -12,9 +12,9 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mfc_gym.compiled import njit
 from mfc_gym.sensors import random
 
 Array = NDArray[np.float64]
