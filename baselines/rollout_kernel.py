@@ -19,7 +19,7 @@ from {step} import advance_all, output
 @njit(cache=True, nogil=True)
 def run(rows, settings, memory, law, given, table, observations, outputs, controls, rewards, terminated, start, stop):
     """Episodes start to stop from their first observations (B, N+1, 3n+1) on; what follows an episode's end stays as it is."""
-    limit = settings[2]
+    limit, work = settings[2], np.empty({work})
     for first in range(start, stop, {block}):
         count = min({block}, stop - first)
         columns, seen = np.empty((rows.shape[1], count)), np.empty((count, observations.shape[2]))
@@ -31,7 +31,7 @@ def run(rows, settings, memory, law, given, table, observations, outputs, contro
                 if active[j]:
                     actions[j] = control(seen[j], memory[first + j], k == 0, law) / limit
                     controls[first + j, k] = limit * min(max(actions[j], -1.0), 1.0)
-            advance_all(columns, actions, settings, active, given, table, seen, gains, ended, cut, 0, count)
+            advance_all(columns, settings, active, given, table, actions, seen, gains, ended, cut, work, 0, count)
             for j in range(count):
                 if active[j]:
                     i = first + j
@@ -48,5 +48,5 @@ def run(rows, settings, memory, law, given, table, observations, outputs, contro
 
 def load(step: ModuleType, controller: LyapunovRedesign) -> ModuleType:
     """The compiled loop of this environment step and this law."""
-    source = TEMPLATE.format(law=controller.kernel.__name__, step=step.__name__, block=BLOCK)
+    source = TEMPLATE.format(law=controller.kernel.__name__, step=step.__name__, block=BLOCK, work=step.WORK)
     return kernels.load(f"mfc_run_{kernels.key(source)}", lambda: source)

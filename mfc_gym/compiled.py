@@ -7,16 +7,17 @@ environments call: its machine code comes from the cache, without Numba, whose i
 import ctypes
 import os
 import re
+import struct
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial, update_wrapper
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mfc_gym import kernels, machine_code
+from mfc_gym import kernels, machine_code, stubs
 
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")  # Numba's own switch
 _lock = threading.RLock()
@@ -56,15 +57,17 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return partial(njit, **options) if function is None else Function(function, options)
 
 
-ARRAY = re.compile(
-    r"(\w+)(?:\[(:, )?::1\])?"
+TYPE = re.compile(
+    r"(\w+)(\[(:, )?::1\])?"
 )  # of a signature: a number, or a C-contiguous array of one or two dimensions
-NUMBERS: dict[str, tuple[Any, Any, Any]] = {  # name -> of C, of NumPy, of Python
-    "float64": (ctypes.c_double, np.dtype(np.float64), float),
-    "int64": (ctypes.c_int64, np.dtype(np.int64), int),
-    "uint64": (ctypes.c_uint64, np.dtype(np.uint64), int),
-    "boolean": (ctypes.c_bool, np.dtype(np.bool_), bool),
-    "void": (ctypes.c_void_p, None, None),
+DTYPES = {"float64": np.dtype(np.float64), "uint64": np.dtype(np.uint64), "int64": np.dtype(np.int64)} | {
+    "boolean": np.dtype(np.bool_)
+}
+RESULTS: dict[str, Any] = {
+    "void": ctypes.c_void_p,
+    "float64": ctypes.c_double,
+    "int64": ctypes.c_int64,
+    "boolean": ctypes.c_bool,
 }
 _bytes = (ctypes.c_char * 0).from_buffer  # of a writable, C-contiguous array
 
@@ -73,6 +76,7 @@ class Coded(Function):
     """A function with machine code of its own, from the cache or compiled now."""
 
     signature = ""
+    stub = ""
 
     def compiled(self) -> Any:
         """Numba's dispatcher with the one specialisation."""
@@ -86,10 +90,10 @@ class Coded(Function):
             folder, text = kernels.cache_directory(), getattr(sys.modules[self.__module__], "__file__", None)
             path = None
             if folder is not None and text is not None and Path(text).parent == folder:
-                path = folder / f"{self.__module__}.{self.py_func.__name__}.{machine_code.processor()}.o"
+                path = folder / f"{self.__module__}.{self.py_func.__name__}.{machine_code.key()}.o"
             found = None if path is None else machine_code.read(path)
             if found is None:
-                code = machine_code.of(self.compiled(), isinstance(self, Method))
+                code = machine_code.of(self.compiled(), self.stub)
                 if path is not None:
                     kernels.write(path, code)
                 found = machine_code.load(code)
@@ -106,68 +110,103 @@ class Entry(Coded):
         super().__init__(function, options)
         self.signature = signature
         result, arguments = signature.rstrip(")").split("(")
-        self._result = NUMBERS[result][0]
-        self._arguments = []
-        for name, two, text in ((m[1], m[2], m[0]) for m in ARRAY.finditer(arguments)):
-            dimensions = 0 if text == name else 2 if two else 1
-            self._arguments.append((text, NUMBERS[name], dimensions))
+        self._result = RESULTS[result]
+        self._types = [(m[1], 2 if m[3] else 1 if m[2] else 0) for m in TYPE.finditer(arguments)]
+        self.stub = stubs.entry(self._types)
 
     @cached_property
     def _call(self) -> Callable[..., int]:
-        flat: list[Any] = []  # of an array: owner, parent, size, bytes of an item, data, shape, strides
-        for _, (number, *_), dimensions in self._arguments:
-            array = [ctypes.c_void_p, ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_void_p]
-            flat += [*array, *[ctypes.c_int64] * (2 * dimensions)] if dimensions else [number]
-        return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *flat)(self.address)
-
-    def bind(self, *first: Any) -> Callable[..., Any]:
-        """The function of the remaining arguments."""
-        if INTERPRETED:
-            return partial(self.py_func, *first)
-        flat = self._flat(first, 0)
-
-        def call(*others: Any, arrays: Any = first) -> Any:  # which must live as long as this does
-            return self._run([*flat, *self._flat(others, len(first))])
-
-        return call
+        return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_char_p, ctypes.c_void_p)(self.address)
 
     def __call__(self, *arguments: Any) -> Any:
         if INTERPRETED:
             return self.py_func(*arguments)
-        if len(arguments) != len(self._arguments):
-            raise TypeError(f"{self.__name__} takes {len(self._arguments)} arguments, got {len(arguments)}.")
-        return self._run(self._flat(arguments, 0))
+        return self.run(self.packed(arguments, 0))
 
-    def _flat(self, arguments: Any, first: int) -> list[Any]:
-        flat: list[Any] = []
-        for (text, (_, dtype, number), dimensions), value in zip(self._arguments[first:], arguments, strict=False):
+    def bind(self, *arguments: Any) -> "Bound":
+        """The function of the remaining arguments."""
+        return Bound(self, (), b"").bind(*arguments)
+
+    def packed(self, arguments: Sequence[Any], first: int) -> bytes:
+        """These arguments, the first of which has this number, as the stub takes them."""
+        if len(arguments) > len(self._types) - first:
+            raise TypeError(f"{self.__name__} takes {len(self._types)} arguments, got more.")
+        values: list[Any] = []
+        for (name, dimensions), value in zip(self._types[first:], arguments, strict=False):
             if not dimensions:
-                flat.append(number(value))
+                values.append(value)
                 continue
-            if value.dtype != dtype or value.ndim != dimensions:
-                raise TypeError(f"{self.__name__} takes {text}, got {value.dtype} of shape {value.shape}.")
-            flat += (
-                None,
-                None,
-                value.size,
-                value.itemsize,
-                ctypes.addressof(_bytes(value)),
-                *value.shape,
-                *value.strides,
-            )
-        return flat
+            shape = value.shape
+            if value.dtype != DTYPES[name] or len(shape) != dimensions:
+                raise TypeError(
+                    f"{self.__name__} takes arrays of {name} with {dimensions} axes, got {value.dtype} of shape {shape}."
+                )
+            values += (ctypes.addressof(_bytes(value)), *shape)
+        return self._structs[first][len(arguments)].pack(*values)
 
-    def _run(self, flat: list[Any]) -> Any:
-        result, error = self._result(), ctypes.c_void_p()
-        if self._call(ctypes.addressof(result), ctypes.addressof(error), *flat):
-            raise ArithmeticError(f"{self.__name__} of {self.__module__} failed.")
+    @cached_property
+    def _structs(self) -> list[list[struct.Struct]]:
+        """[i][m] packs m arguments from the one of number i on."""
+        codes = ["P" + "q" * dimensions if dimensions else stubs.NUMBERS[name][2] for name, dimensions in self._types]
+        ends = range(len(codes) + 1)
+        return [[struct.Struct("".join(codes[i : i + m])) for m in ends] for i in ends]
+
+    def run(self, packed: bytes) -> Any:
+        """The function of these arguments."""
+        self.require_all(packed)
+        result = self._result()
+        self.check(self._call(packed, ctypes.addressof(result)))
         return result.value
+
+    def require_all(self, packed: bytes) -> None:
+        """Raises TypeError unless these are all arguments."""
+        if len(packed) != self._structs[0][-1].size:
+            raise TypeError(f"{self.__name__} takes {len(self._types)} arguments, got fewer.")
+
+    def check(self, status: int) -> None:
+        """Raises ArithmeticError if this is the status of a failure."""
+        if status:
+            raise ArithmeticError(f"{self.__name__} of {self.__module__} failed.")
+
+
+class Bound:
+    """An entry with its first arguments, which live as long as it does."""
+
+    def __init__(self, entry: Entry, arguments: tuple[Any, ...], packed: bytes) -> None:
+        self._entry, self._arguments, self._packed = entry, arguments, packed
+
+    def bind(self, *arguments: Any) -> "Bound":
+        """The function of the remaining arguments."""
+        more = b"" if INTERPRETED else self._entry.packed(arguments, len(self._arguments))
+        return Bound(self._entry, (*self._arguments, *arguments), self._packed + more)
+
+    def __call__(self, *arguments: Any) -> Any:
+        if INTERPRETED:
+            return self._entry.py_func(*self._arguments, *arguments)
+        more = self._entry.packed(arguments, len(self._arguments)) if arguments else b""
+        return self._entry.run(self._packed + more)
+
+    @property
+    def arguments(self) -> bytes:
+        """All of them, packed. Raises TypeError if some are missing."""
+        self._entry.require_all(self._packed)
+        return self._packed
+
+    @property
+    def address(self) -> int:
+        """Where the code is in memory."""
+        return self._entry.address
+
+    def check(self, status: int) -> None:
+        """Raises ArithmeticError if this is the status of a failure."""
+        self._entry.check(status)
 
 
 class Method(Coded):
     """A function (memory (m,), number) -> (number, bool, bool) that Python calls as fast as its own."""
 
     signature = "voidptr(voidptr, voidptr)"
+    stub = stubs.METHOD
 
     def __init__(self, function: Callable[..., Any], size: int, options: dict[str, Any]) -> None:
         super().__init__(function, options)

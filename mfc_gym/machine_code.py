@@ -5,12 +5,14 @@ without it. What it calls outside of itself are the functions of C's math librar
 """
 
 import ctypes
-import hashlib
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
+
+from mfc_gym import kernels
+from mfc_gym.stubs import FUNCTION, STUB
 
 PYTHON = (
     "PyFloat_AsDouble",
@@ -39,24 +41,10 @@ MATH = {
         "memmove",
     ),
 }
-NAME = "compiled"  # of the function in its file
 RELEASE = "NRT_MemInfo_call_dtor"  # frees an array that Numba allocated; there are none here
-
-# Numba's functions return a status and write their result; a method of Python returns it.
-STUBS = f"""
+RELEASE_NOTHING = f"""
 define void @{RELEASE}(ptr %memory) {{
     ret void
-}}
-"""
-METHOD = """
-declare i32 @{name}(ptr, ptr, ptr, ptr)
-
-define ptr @{method}(ptr %self, ptr %argument) {{
-    %result = alloca ptr
-    %error = alloca ptr
-    %status = call i32 @{name}(ptr %result, ptr %error, ptr %self, ptr %argument)
-    %object = load ptr, ptr %result
-    ret ptr %object
 }}
 """
 
@@ -64,29 +52,27 @@ _kept: list[Any] = []  # what lives as long as the process: the code, and what P
 
 
 @cache
-def processor() -> str:
-    """Short hash of what code depends on beside its source: the processor and the version of LLVM."""
-    features = llvm.get_host_cpu_features().flatten()
-    text = f"{llvm.llvm_version_info} {llvm.get_process_triple()} {llvm.get_host_cpu_name()} {features}"
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
+def key() -> str:
+    """Short hash of what code depends on beside its source: the processor, LLVM, and how the code is made and called."""
+    parts = llvm.llvm_version_info, llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features()
+    return kernels.key(
+        *map(str, parts), kernels.fingerprint(*kernels.files("mfc_gym", "machine_code", "stubs", "compiled"))
+    )
 
 
-def of(dispatcher: Any, method: bool) -> bytes:
-    """The object code of Numba's only specialisation of a function, under the name `NAME`.
+def of(dispatcher: Any, stub: str) -> bytes:
+    """The object code of Numba's only specialisation of a function behind this stub.
 
-    `method`: it takes and returns Python objects, (self, argument) -> result. Raises RuntimeError for a function that calls what
-    is not allowed, an allocation of memory above all.
+    Raises RuntimeError for a function that calls what is not allowed, an allocation of memory above all.
     """
     (compiled,) = dispatcher.overloads.values()
-    name = compiled.fndesc.llvm_func_name
     module = llvm.parse_bitcode(compiled.library._final_module.as_bitcode())
-    module.get_function(name).name = inner = "function" if method else NAME
+    module.get_function(compiled.fndesc.llvm_func_name).name = FUNCTION
     if RELEASE in {function.name for function in module.functions}:
-        module.link_in(_parsed(STUBS, module))
-    if method:
-        module.link_in(_parsed(METHOD.format(name=inner, method=NAME), module))
+        module.link_in(_parsed(RELEASE_NOTHING))
+    module.link_in(_parsed(stub))
     for function in module.functions:
-        if not function.is_declaration and function.name != NAME:
+        if not function.is_declaration and function.name != STUB:
             function.linkage = llvm.Linkage.internal
     machine = _machine()
     passes = llvm.create_new_module_pass_manager()
@@ -101,14 +87,23 @@ def of(dispatcher: Any, method: bool) -> bytes:
 
 def load(code: bytes) -> int:
     """Where the function begins in memory. Raises RuntimeError for what is no object code."""
-    engine = llvm.create_mcjit_compiler(_parsed("", None), _machine())
+    engine = llvm.create_mcjit_compiler(_parsed(""), _machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    return _addresses(engine, STUB)[0]
+
+
+def assembled(text: str, *names: str) -> list[int]:
+    """Where these functions of a text in LLVM's language begin in memory."""
+    return _addresses(llvm.create_mcjit_compiler(_parsed(text), _machine()), *names)
+
+
+def _addresses(engine: Any, *names: str) -> list[int]:
     engine.finalize_object()
-    address = int(engine.get_function_address(NAME))
-    if not address:
-        raise RuntimeError(f"no function {NAME} in the object code.")
+    found = [int(engine.get_function_address(name)) for name in names]
+    if not all(found):
+        raise RuntimeError(f"no functions {names} in the code.")
     _kept.append(engine)
-    return address
+    return found
 
 
 def read(path: Path) -> int | None:
@@ -139,11 +134,9 @@ def _machine() -> Any:
     )
 
 
-def _parsed(text: str, like: Any) -> Any:
-    module = llvm.parse_assembly(text)
-    module.triple = llvm.get_process_triple() if like is None else like.triple
-    if like is not None:
-        module.data_layout = like.data_layout
+def _parsed(text: str) -> Any:
+    module, machine = llvm.parse_assembly(text), _machine()
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
     return module
 
 

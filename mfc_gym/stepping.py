@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 BLOCK = 128  # episodes that are integrated side by side, so that the compiler uses vector instructions
 
 ADVANCE_ALL_TYPES = (
-    "void(float64[:, ::1], float64[::1], float64[::1], boolean[::1], float64[::1], float64[:, ::1], float64[:, ::1], "
+    "void(float64[:, ::1], float64[::1], boolean[::1], float64[::1], float64[:, ::1], float64[::1], float64[:, ::1], "
     "float64[::1], boolean[::1], boolean[::1], float64[:, ::1], int64, int64)"
 )
 
@@ -109,7 +109,7 @@ def advance_one(memory, action):
 
 BLOCKS = '''@njit(error_model="numpy")
 def integrate_block(x, theta, u, inside, count, settings):
-    """`integrate` of `count` episodes side by side; x (n, ...) and `inside` (1.0 or 0.0) are updated, what is not inside stays."""
+    """`integrate` of `count` episodes side by side; x and `inside` (1.0 or 0.0) are updated, what is not inside stays."""
     substeps, low, high = int(settings[1]), {low}, {high}
     h = settings[0] / substeps
     for _ in range(substeps):
@@ -123,7 +123,7 @@ def integrate_block(x, theta, u, inside, count, settings):
 
 @entry({advance_all_types})
 def advance_all(
-    columns, actions, settings, active, given, table, observations, rewards, terminated, truncated, work, start, stop
+    columns, settings, active, given, table, actions, observations, rewards, terminated, truncated, work, start, stop
 ):
     """`advance` of the episodes start to stop; one that is not active is observed as it is, its action does not count.
 
@@ -362,8 +362,6 @@ def load(
     library = kernels.files(
         "mfc_gym",
         *(
-            "compiled",
-            "machine_code",
             "references",
             "reward",
             "sensors",

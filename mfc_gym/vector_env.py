@@ -1,9 +1,7 @@
 """The vector environment: many episodes at once, rows of one array, stepped by the scalar environment's kernel."""
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mfc_gym import team
+from mfc_gym.compiled import Bound
 from mfc_gym.nominal import NominalModel
 from mfc_gym.simulation import Simulation
 from mfc_gym.stepping import BLOCK
@@ -69,7 +69,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._begun = False  # whether every environment has been reset
         if threads is None:
             work = num_envs * (self.simulation.substeps + 4)
-            threads = min(cores(), max(1, work // THREAD_WORK))
+            threads = min(team.cores(), max(1, work // THREAD_WORK))
         self._spans = spans(num_envs, _count("threads", threads))
         self._work = [np.empty(self.simulation.kernel.WORK) for _ in self._spans]
 
@@ -149,7 +149,8 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         chosen = np.flatnonzero(ended)
         info = self._info(observations, terminated, ended, chosen) if chosen.size else {}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            self._running, self._waiting = ~ended, chosen
+            np.logical_not(ended, out=self._running)
+            self._waiting = chosen
         elif chosen.size:
             self._begin(chosen, None)
             self._observe(ended, observations)
@@ -162,17 +163,21 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         row = np.empty(self.simulation.row_size)
         self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, row, observations)
 
-    def _advance(self, values: Array, *results: Array) -> None:
-        """The kernel, the first span here and the others in further threads."""
-        simulation = self.simulation
-        advance = simulation.kernel.advance_all.bind(
-            self._columns, values, simulation.settings, self._running, *self._tabulated, *results
+    @cached_property
+    def _bound(self) -> Bound:
+        """The compiled step of these environments."""
+        return self.simulation.kernel.advance_all.bind(
+            self._columns, self.simulation.settings, self._running, *self._tabulated
         )
-        first, *others = self._spans
-        pending = [workers().submit(advance, work, *span) for work, span in zip(self._work[1:], others, strict=True)]
-        advance(self._work[0], *first)
-        for span in pending:
-            span.result()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what refers to these very arrays."""
+        return {name: value for name, value in self.__dict__.items() if name != "_bound"}
+
+    def _advance(self, values: Array, *results: Array) -> None:
+        """The kernel, on all threads."""
+        advance = self._bound.bind(values, *results)
+        team.run([advance.bind(work, *span) for work, span in zip(self._work, self._spans, strict=True)])
 
     def _info(self, observations: Array, terminated: Mask, ended: Mask, chosen: NDArray[np.intp]) -> dict[str, Any]:
         """What Gymnasium's vector environments make of the scalar environments' infos."""
@@ -241,21 +246,6 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         if len(seeds) != self.num_envs:
             raise ValueError(f"`seed` must be an integer or {self.num_envs} of them, got {len(seeds)}.")
         return seeds
-
-
-def cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@cache
-def workers() -> ThreadPoolExecutor:
-    """The threads beside the caller's own, shared by all environments of the process."""
-    return ThreadPoolExecutor(max(1, cores() - 1), "mfc_gym")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=workers.cache_clear)  # threads do not survive a fork
 
 
 def spans(num_envs: int, count: int) -> list[tuple[int, int]]:
