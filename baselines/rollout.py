@@ -72,7 +72,7 @@ def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:
     memory = controller.first_memory(first)
     run = rollout_kernel.load(simulation.kernel, controller).run
 
-    shared = (simulation.settings, memory, controller.law, *simulation.tabulated())
+    shared = (simulation.settings, memory, controller.law, simulation.table(rows))
 
     def chunk(start: int, stop: int) -> None:
         run(rows, *shared, observations, outputs, controls, rewards, terminated, start, stop)

@@ -17,7 +17,7 @@ from {step} import advance_all, output
 
 
 @njit(cache=True, nogil=True)
-def run(rows, settings, memory, law, given, table, observations, outputs, controls, rewards, terminated, start, stop):
+def run(rows, settings, memory, law, table, observations, outputs, controls, rewards, terminated, start, stop):
     """Episodes start to stop from their first observations (B, N+1, 3n+1) on; what follows an episode's end stays as it is."""
     limit, work = settings[2], np.empty({work})
     for first in range(start, stop, {block}):
@@ -31,7 +31,7 @@ def run(rows, settings, memory, law, given, table, observations, outputs, contro
                 if active[j]:
                     actions[j] = control(seen[j], memory[first + j], k == 0, law) / limit
                     controls[first + j, k] = limit * min(max(actions[j], -1.0), 1.0)
-            advance_all(columns, settings, active, given, table, actions, seen, gains, ended, cut, work, 0, count)
+            advance_all(columns, settings, active, table, actions, seen, gains, ended, cut, work, 0, count)
             for j in range(count):
                 if active[j]:
                     i = first + j

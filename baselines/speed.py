@@ -125,7 +125,7 @@ def rollouts(episodes: int = 1000) -> list[Row]:
     observations[:, 0] = first
     outputs, controls = np.empty(observations.shape[:2]), np.empty((episodes, simulation.steps))
     rewards, terminated = np.empty_like(controls), np.empty(episodes, dtype=bool)
-    table = simulation.tabulated()
+    table = simulation.table(plain.rows)
 
     def work() -> int:
         rows = np.repeat(plain.rows, episodes, axis=0)
@@ -135,7 +135,7 @@ def rollouts(episodes: int = 1000) -> list[Row]:
             simulation.settings,
             memory,
             controller.law,
-            *table,
+            table,
             observations,
             outputs,
             controls,

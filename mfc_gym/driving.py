@@ -143,7 +143,7 @@ def start_all(rows, settings):
 
 ADVANCE_ALL = '''@entry({advance_all_types})
 def advance_all(
-    columns, settings, active, given, table, actions, observations, rewards, terminated, truncated, work, start, stop
+    columns, settings, active, table, actions, observations, rewards, terminated, truncated, work, start, stop
 ):
     """`advance` of the episodes start to stop, one after the other; one that is not active is observed as it is.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -168,12 +169,16 @@ class Simulation:
         self.kernel.outputs(rows, y)
         return y
 
-    def tabulated(self) -> tuple[Array, Array]:
-        """The reference parameters of the paper scenario, (r,), and their reference at the samples 0, 1, ..., (N, n+1)."""
-        parameters = self.row_reference(self._start).copy()
+    def table(self, rows: Array) -> Array:
+        """The reference at the samples 0, 1, ..., (N, n+1), if it is the same in all these episodes; else no samples."""
+        same = (self.row_reference(rows) == self.row_reference(self._start)).all()
+        return self._table if same else self._table[:0]
+
+    @cached_property
+    def _table(self) -> Array:
         table = np.empty((min(self.steps, TABULATED) + 1, self.plant.order + 1))
-        self.kernel.tabulate(parameters, self.dt, table)
-        return parameters, table
+        self.kernel.tabulate(self.row_reference(self._start).copy(), self.dt, table)
+        return table
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 BLOCK = 128  # episodes that are integrated side by side, so that the compiler uses vector instructions
 
 ADVANCE_ALL_TYPES = (
-    "void(float64[:, ::1], float64[::1], boolean[::1], float64[::1], float64[:, ::1], float64[::1], float64[:, ::1], "
+    "void(float64[:, ::1], float64[::1], boolean[::1], float64[:, ::1], float64[::1], float64[:, ::1], "
     "float64[::1], boolean[::1], boolean[::1], float64[:, ::1], int64, int64)"
 )
 
@@ -123,12 +123,12 @@ def integrate_block(x, theta, u, inside, count, settings):
 
 @entry({advance_all_types})
 def advance_all(
-    columns, settings, active, given, table, actions, observations, rewards, terminated, truncated, work, start, stop
+    columns, settings, active, table, actions, observations, rewards, terminated, truncated, work, start, stop
 ):
     """`advance` of the episodes start to stop; one that is not active is observed as it is, its action does not count.
 
-    Episodes are columns here, shape (row, N). The reference of those whose parameters are as given, (r,), is read from
-    the table, (samples, n+1). Short loops over a block, one after the other, become vector instructions; they work in `work`,
+    Episodes are columns here, shape (row, N). If all have the same reference, the table holds it, (samples, n+1); else it has
+    no samples. Short loops over a block, one after the other, become vector instructions; they work in `work`,
     of shape WORK.
     """
     x, theta, u, inside = work[:{n}], work[{n} : {n} + {p}], work[{n} + {p}], work[{n} + {p} + 1]
@@ -147,7 +147,7 @@ def advance_all(
             u[j] = saturated(actions[i], settings)
         for j in range(count):
             i = np.uintp(first + j)
-            tabulated = tabulated & {same_reference} & (columns[{clock}, i] < table.shape[0])
+            tabulated = tabulated & (columns[{clock}, i] < table.shape[0])
         integrate_block(x, theta, u, inside, count, settings)
         for j in range(count):
             i = np.uintp(first + j)
@@ -330,7 +330,6 @@ def load(
         "observed_derivatives_of_block": ", ".join(f"observations[i, {n + k}]" for k in range(n)),
         "observed_references": ", ".join(f"observations[i, {2 * n + k}]" for k in range(n + 1)),
         "references_of_table": ", ".join(f"table[k, {k}]" for k in range(n + 1)),
-        "same_reference": " & ".join(f"(columns[{n + p + k}, i] == given[{k}])" for k in range(r)),
         "observed_state": ", ".join(f"observation[{i}]" for i in range(n)),
         "observed_derivatives": ", ".join(f"observation[{n + i}]" for i in range(n)),
         "output": n,
