@@ -219,7 +219,7 @@ def nominal_source(system: FlatSystem) -> str:
     parts = ["coordinates", "lie_terms", "bounds", "nominal_drift", "input_field"]
     return "".join(
         [
-            HEADER.replace("\nfrom mfc_gym.task import Task\n", ""),
+            HEADER.replace("entry, ", "").replace("from mfc_gym.task import Task\n", ""),
             f"\nNAME = {system.name!r}\nSTATE = {tuple(system.state)!r}\nORDER = {n}\n",
             f"EQUATIONS = {{'f': {tuple(map(str, system.f))!r}, 'g': {tuple(map(str, system.g))!r}, 'h': {str(system.h)!r}}}\n",
             function("coordinates", x, rename(system.tau), "xi = tau(x)."),

@@ -26,6 +26,8 @@ _lock = threading.RLock()
 class Function:
     """A function that Numba compiles when it is needed; other compiled functions may call it."""
 
+    __name__: str
+
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self.py_func = function
         self._options = options
@@ -79,9 +81,10 @@ class Coded(Function):
     stub = ""
 
     def compiled(self) -> Any:
-        """Numba's dispatcher with the one specialisation."""
-        self.dispatcher.compile(self.signature)
-        return self.dispatcher
+        """A dispatcher of Numba's with the one specialisation."""
+        from numba import njit
+
+        return njit(self.signature, **self._options)(self.py_func)
 
     @cached_property
     def address(self) -> int:
@@ -237,7 +240,7 @@ class Method(Coded):
         new_tuple = external("PyTuple_New", pointer, types.intp)
         set_item = external("PyTuple_SetItem", types.intc, pointer, types.intp, pointer)
 
-        @njit
+        @njit(self.signature)
         def call(self, argument):  # type: ignore[no-untyped-def]
             value, first, second = function(carray(address_of(self), (size,), np.float64), number_of(argument))
             result = new_tuple(3)
@@ -246,7 +249,6 @@ class Method(Coded):
             set_item(result, 2, from_bool(second))
             return result
 
-        call.compile(self.signature)
         return call
 
 

@@ -65,7 +65,8 @@ def sense(memory, {state}, y, u, sample, settings, observation):
     elif np.isnan(memory[{estimate}]):
         {observed_derivatives} = coordinates({state})
     else:
-        observation[{n} : {n2}] = memory[{estimate}:{ring}]
+        for i in range({n}):
+            observation[{n} + i] = memory[{estimate} + i]
     for i in range(2 * {n}):  # what is beyond a sensor's range reads as its end
         observation[i] = min(max(observation[i], settings[{ranges} + i]), settings[{ranges} + 2 * {n} + i])
         memory[2 + i] = observation[i]

@@ -350,9 +350,12 @@ def load(
     ranges = 10 + 2 * n + len(DIFFERENTIATORS[derivatives].settings) if sensors else 0
     tuning = ranges + 4 * n if sensors else 6 + 2 * n
     words["ranges"] = ranges
-    words["row_size"] = clock + 1
-    words["observation_start"] = clock + 1 + tuning + len(moving.tuning)
-    words["memory_size"] = words["observation_start"] + 3 * n + 1
+    observation_start = clock + 1 + tuning + len(moving.tuning)
+    words |= {
+        "row_size": clock + 1,
+        "observation_start": observation_start,
+        "memory_size": observation_start + 3 * n + 1,
+    }
     words["driven"] = driving.source(words, moving, n, p, base, tuning) if moving.moves else ""
     parts = {key: text.format(**words) for key, text in (sensing.SENSED if sensors else sensing.IDEAL).items()}
     parts |= {key: text.format(**words) for key, text in (driving.DRIVEN if moving.moves else HELD).items()}

@@ -1,6 +1,10 @@
 """Plants that only the tests use; as `system="plants:name"` they reach the environment like any user's plant."""
 
+from typing import Any
+
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from mfc_gym.flat_system import FlatSystem
 from mfc_gym.task import Task
@@ -60,3 +64,12 @@ def reciprocal() -> FlatSystem:
 
 
 not_a_plant = 3
+
+
+def integrated(
+    kernel: Any, x: NDArray, theta: NDArray, u: float, h: float, substeps: int, low: NDArray, high: NDArray
+) -> NDArray:
+    """[state after the substeps, 1.0 if it stayed inside], shape (n+1,), by the compiled integrator of many."""
+    out = np.empty((1, len(x) + 1))
+    kernel.integrate_all(x[None], theta[None], np.array([u]), h, substeps, low, high, out)
+    return np.asarray(out[0])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from numpy.typing import NDArray
+from plants import integrated
 from scipy.integrate import solve_ivp
 
 from mfc_gym import plant
@@ -70,7 +71,7 @@ def test_kernels_are_the_equations(name: str, rng: np.random.Generator) -> None:
         x, theta, u = rng.uniform(*built.region(50.0)), rng.uniform(*built.theta_set), float(rng.uniform(-10, 10))
         exact = Exact([*system.x, *system.theta_symbols], np.concatenate([x, theta]))
         exact.check(kernel.flow_at(x, theta), [*drift, *system.g, *system.tau_n, *system.tau, *rates])
-        exact.check(kernel.output_derivatives_at(x, theta), system.tau_n)
+        exact.check(np.array(kernel.output_derivatives(*x, *theta)), system.tau_n)
         exact.check(kernel.uncertainty_at(x, theta), [system.Delta_1, system.Delta_3, system.phi_m])
         exact.check(
             kernel.field(*x, *theta, u), [a + b * sp.Float(u, 30) for a, b in zip(drift, system.g, strict=True)]
@@ -118,7 +119,7 @@ def test_chain_kernels_are_exact_on_a_dyadic_grid(n: int, rng: np.random.Generat
     p = np.cumprod(np.concatenate([[1.0], 1 + theta]))
     norm2 = float(x @ x)
     kernel = built.kernel
-    np.testing.assert_array_equal(kernel.output_derivatives_at(x, theta), p * x)
+    np.testing.assert_array_equal(np.array(kernel.output_derivatives(*x, *theta)), p * x)
     np.testing.assert_array_equal(kernel.uncertainty_at(x, theta), [p[-1] * norm2, p[-1] - 1, norm2])
     np.testing.assert_array_equal(kernel.field(*x, *theta, 0.5), [*((1 + theta) * x[1:]), 0.5 + norm2])
 
@@ -152,7 +153,7 @@ def test_runge_kutta_is_of_order_four() -> None:
 
     exact = solve_ivp(field, (0, T), x, method="DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
     substeps = 2 ** np.arange(3, 7)
-    ends = [built.kernel.integrate_at(x, theta, u, T / m, m, -WIDE, WIDE) for m in substeps]
+    ends = [integrated(built.kernel, x, theta, u, T / m, m, -WIDE, WIDE) for m in substeps]
     errors = [np.abs(end[:-1] - exact).max() for end in ends]
     miss = np.abs(-np.diff(np.log2(errors)) - 4)
     assert miss[-1] < 0.05
@@ -168,7 +169,7 @@ def test_runge_kutta_of_a_linear_plant_is_its_taylor_polynomial() -> None:
     for j in range(1, 5):
         term = h / j * A @ term
         expected = expected + term
-    end = built.kernel.integrate_at(x, np.empty(0), u, h, 1, *built.region(1.0))
+    end = integrated(built.kernel, x, np.empty(0), u, h, 1, *built.region(1.0))
     np.testing.assert_allclose(end, [*expected[:2], 1.0], rtol=0, atol=40 * EPS)  # at most 40 operations on numbers < 4
 
 
@@ -177,7 +178,7 @@ def test_stops_at_the_first_substep_outside() -> None:
     built = plant.load("plants:oscillator")
     low, high = built.region(1.0)
     x, none = np.array([0.95, 1.5]), np.empty(0)
-    path = [built.kernel.integrate_at(x, none, 1.0, 0.01, m, low, high) for m in range(1, 10)]
+    path = [integrated(built.kernel, x, none, 1.0, 0.01, m, low, high) for m in range(1, 10)]
     inside = [bool(row[-1]) for row in path]
     first = inside.index(False)
     assert 0 < first < 8
@@ -193,7 +194,7 @@ def test_the_state_never_leaves_twice_the_region(h: float) -> None:
     built = plant.load("PerturbedChain")
     low, high = built.region(50.0)
     x = np.array([1.0, 2.0, 7.0])
-    end = built.kernel.integrate_at(x, np.array([0.5, -0.5]), 50.0, h, 5, low, high)
+    end = integrated(built.kernel, x, np.array([0.5, -0.5]), 50.0, h, 5, low, high)
     np.testing.assert_array_equal(end, [*x, 0.0])
 
 
@@ -201,5 +202,5 @@ def test_a_division_by_zero_leaves_the_region() -> None:
     built = plant.load("plants:reciprocal")
     low, high = built.region(50.0)
     x = np.array([0.0, 1.0])
-    np.testing.assert_array_equal(built.kernel.integrate_at(x, np.empty(0), 0.0, 0.1, 1, low, high), [*x, 0.0])
+    np.testing.assert_array_equal(integrated(built.kernel, x, np.empty(0), 0.0, 0.1, 1, low, high), [*x, 0.0])
     assert built.nominal.terms_at(x[None])[0, 2] == np.inf  # alpha = 1 / x1

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from plants import integrated
 from scipy.integrate import solve_ivp
 
 from mfc_gym import plant
@@ -19,7 +20,7 @@ def worst_error(built: plant.Plant, dt: float, m: int, input_limit: float, rng: 
         x = low + (high - low) * rng.beta(0.3, 0.3, built.order)  # near the faces, where the plant is fastest
         theta = np.where(rng.random(len(built.theta)) < 0.5, *built.theta_set)
         u = input_limit * rng.choice([-1.0, 1.0])
-        end = built.kernel.integrate_at(x, theta, u, dt / m, m, low, high)
+        end = integrated(built.kernel, x, theta, u, dt / m, m, low, high)
 
         def field(t: float, z: Array, theta: Array = theta, u: float = u) -> Array:
             flow = built.kernel.flow_at(z, theta)
