@@ -98,7 +98,7 @@ class Coded(Function):
             if found is None:
                 code = machine_code.of(self.compiled(), self.stub)
                 if path is not None:
-                    kernels.write(path, code)
+                    machine_code.write(path, code)
                 found = machine_code.load(code)
             return found
 

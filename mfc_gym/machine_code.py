@@ -5,6 +5,7 @@ without it. What it calls outside of itself are the functions of C's math librar
 """
 
 import ctypes
+import hashlib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -106,12 +107,19 @@ def _addresses(engine: Any, *names: str) -> list[int]:
     return found
 
 
+def write(path: Path, code: bytes) -> None:
+    """A file of the code behind its hash."""
+    kernels.write(path, hashlib.sha256(code).digest() + code)
+
+
 def read(path: Path) -> int | None:
-    """`load` of a file; None if there is none that can be read."""
+    """`load` of a file; None if there is none, or a damaged one, which LLVM might not survive."""
     try:
-        return load(path.read_bytes())
-    except (OSError, RuntimeError):
+        content = path.read_bytes()
+    except OSError:
         return None
+    digest, code = content[:32], content[32:]
+    return load(code) if hashlib.sha256(code).digest() == digest else None
 
 
 @cache

@@ -125,12 +125,11 @@ class Helper:
         if post(ctypes.addressof(self._box), job.address, job.arguments) == ASLEEP:
             self._awake.release()
 
-    def wait(self) -> None:
-        """Until the job is done. Raises ArithmeticError if it failed."""
+    def wait(self) -> int:
+        """The status of the job, once it is done."""
         _, _, wait = _native()
-        status, job, self._job = wait(ctypes.addressof(self._box), LOOKS), self._job, None
-        if job is not None:
-            job.check(status)
+        status, self._job = wait(ctypes.addressof(self._box), LOOKS), None
+        return int(status)
 
 
 def cores() -> int:
@@ -166,8 +165,9 @@ def run(jobs: Sequence[Bound]) -> None:
             for job in (first, *others[len(shared) :]):
                 job()
         finally:
-            for helper, _ in shared:
-                helper.wait()
+            statuses = [helper.wait() for helper, _ in shared]
+        for (_, job), status in zip(shared, statuses, strict=True):
+            job.check(status)
     finally:
         if helpers:
             free.release()
