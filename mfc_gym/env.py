@@ -22,7 +22,7 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
 
     Observation: [x (n), xi_n (n), y_d ... y_d^(n) (n+1)], float64. Action: u / input_limit in [-1, 1].
     Reward: -dt min(cost, cost_max); leaving the operating region (terminated) costs cost_max for the rest of the
-    horizon. The options are those of `mfc_gym.simulation.Settings`; further keywords go to the plant (the chain's
+    horizon. The options are those of `mfc_gym.settings.Settings`; further keywords go to the plant (the chain's
     `order`, say).
     """
 

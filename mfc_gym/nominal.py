@@ -26,7 +26,7 @@ class NominalModel:
     input_limit: float
     model_pole: float = 2.0  # 1/s, see `mfc_gym.task`
     process_pole: float = 4.0  # 1/s
-    derivatives: str = "exact"  # how xi_n is obtained, see `mfc_gym.simulation.Settings`
+    derivatives: str = "exact"  # how xi_n is obtained, see `mfc_gym.settings.Settings`
     noise: float = 0.0  # amplitude of the noise on y, see `mfc_gym.sensors`
     state_noise: float = 0.0  # amplitude of the noise on x
 

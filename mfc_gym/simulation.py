@@ -1,7 +1,7 @@
 """What the scalar and the vector environment share: the plant with its compiled step, the clock, and how an episode begins."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property
 from typing import Any
 
@@ -9,58 +9,20 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mfc_gym import driving, observation, plant, references, sensing, sensors, stepping
-from mfc_gym.actuator import Actuator
+from mfc_gym import observation, references, sensing, sensors, stepping
 from mfc_gym.checks import mapping, one_of, positive, vector
-from mfc_gym.differentiators import DIFFERENTIATORS
 from mfc_gym.nominal import NominalModel
 from mfc_gym.reward import COSTS
-from mfc_gym.sensors import Sensors
+from mfc_gym.settings import DERIVATIVES, SCENARIOS, UNCERTAINTY, Settings, measurement, varied_plant
 from mfc_gym.streams import Source
 from mfc_gym.substeps import choose_substeps
 
 Array = NDArray[np.float64]
 Indices = Sequence[int] | NDArray[np.intp]
-SCENARIOS = ("paper", "random")
-UNCERTAINTY = {  # of the distance of the declared set from the nominal theta, the nearest to 0
-    "nominal": 0.0,
-    "mild": 0.5,
-    "hard": 1.0,  # all that the bounds cover
-    "beyond": 1.5,  # only what the bounds do not cover
-}
-DERIVATIVES = ("exact", *DIFFERENTIATORS)
 RESET_OPTIONS = ("initial_state", "theta", "reference_parameters", "initial_estimate")
 TABULATED = 20_000  # samples of the reference that are kept, at most
 RANGE = 0.999  # of the observation space: what the sensors can read
 DRAWS = 10_000  # attempts to draw an admissible theta
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Options of the environment; None means the plant's own task."""
-
-    system: str = "PerturbedChain"
-    scenario: str = "paper"
-    uncertainty: str = "hard"  # how far theta lies from its nominal value, see UNCERTAINTY
-    unmatchedness: float = 1.0  # 0: the same size of uncertainty enters where the input does, see `mfc_gym.varying`
-    theta: tuple[float, ...] | None = None
-    schedule: Mapping[str, Any] | None = None  # theta -> {"wave": of `mfc_gym.waves`, its parameters}, added to it
-    disturbance: Mapping[str, Any] | None = None  # "u" or a state -> the same, added to that row of x'
-    actuator: Mapping[str, Any] | None = None  # see `mfc_gym.actuator.Actuator`
-    initial_state: tuple[float, ...] | None = None
-    reference: str | None = None
-    reference_parameters: Mapping[str, float] | None = None
-    derivatives: str = "exact"  # how xi_n is obtained: exactly, or by a differentiator on the sampled y
-    differentiator: Mapping[str, float] | None = None  # its settings, see `mfc_gym.differentiators`
-    sensors: Mapping[str, Any] | None = None  # see `mfc_gym.sensors.Sensors`
-    dt: float | None = None  # s
-    horizon: float | None = None  # s
-    input_limit: float | None = None
-    cost: str = "absolute"
-    cost_max: float | None = None
-    effort: float = 0.0  # weight of u^2 in the cost
-    tolerance: float = 1e-8  # error of the plant's integration per control step
-    substeps: int | None = None  # None: from the tolerance
 
 
 class Simulation:
@@ -72,7 +34,7 @@ class Simulation:
         one_of("derivatives", given.derivatives, DERIVATIVES)
         one_of("cost", given.cost, COSTS)
         one_of("uncertainty", given.uncertainty, UNCERTAINTY)
-        self.plant, self.dt, self.driving = _varied(given, options)
+        self.plant, self.dt, self.driving = varied_plant(given, options)
         task = self.plant.task
         self.scenario = given.scenario
         self.horizon = positive("horizon", task.horizon if given.horizon is None else given.horizon)
@@ -88,7 +50,7 @@ class Simulation:
         own = task.reference_parameters if given.reference in (None, task.reference) else {}
         self.reference_parameters = dict(own) | mapping("reference_parameters", given.reference_parameters)
         parameters = self.reference.parameters(self.reference_parameters)
-        self.sensors, tuning = _measurement(given)
+        self.sensors, tuning = measurement(given)
         self.kernel = stepping.load(
             self.plant, self.reference, given.cost, self.sensors, given.derivatives, self.driving
         )
@@ -354,34 +316,3 @@ class Simulation:
                 f"`theta` must keep abs(Delta_3) <= delta_3 = {delta_3:g}, "
                 f"got theta = {tuple(map(float, self.row_theta(rows[i])))} with Delta_3 = {Delta_3:g}{moves}{where[i]}."
             )
-
-
-def _varied(given: Settings, options: Mapping[str, Any]) -> tuple[plant.Plant, float, driving.Driving]:
-    """The plant with the uncertainty that is asked for, the sampling time, and what moves."""
-    dt = given.dt
-    schedule, disturbance = mapping("schedule", given.schedule), mapping("disturbance", given.disturbance)
-    actuator = Actuator.of(given.actuator)
-    if dt is None:
-        dt = plant.load(given.system, **options).task.dt
-    dt = positive("dt", dt)
-    unmatchedness = positive("unmatchedness", given.unmatchedness, or_zero=True)
-    found = plant.load(given.system, driving.variation(unmatchedness, schedule, disturbance, dt), **options)
-    return found, dt, driving.driving(found, schedule, disturbance, actuator, dt)
-
-
-def _measurement(given: Settings) -> tuple[Sensors | None, list[float]]:
-    """The sensors (None: x and xi_n are known exactly) and their part of the step's settings."""
-    sensors = Sensors.of(given.sensors)
-    if given.derivatives == "exact":
-        if sensors != Sensors() or given.differentiator:
-            raise ValueError(
-                "`sensors` and `differentiator` must come with derivatives = one of "
-                f"{sorted(DIFFERENTIATORS)}, got derivatives = 'exact'."
-            )
-        return None, []
-    tuning = dict(DIFFERENTIATORS[given.derivatives].settings)
-    own = mapping("differentiator", given.differentiator)
-    if unknown := set(own) - set(tuning):
-        raise ValueError(f"`differentiator` must have keys among {sorted(tuning)}, got {sorted(map(str, unknown))}.")
-    tuning |= {name: positive(f"{name} of the differentiator", value) for name, value in own.items()}
-    return sensors, [sensors.noise, sensors.state_noise, sensors.quantisation, sensors.dropout, *tuning.values()]

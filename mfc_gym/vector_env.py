@@ -221,8 +221,9 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
                 f"got {actions!r} of shape {given.shape}."
             )
         values = np.array(given[:, 0], dtype=np.float64)
-        if not np.isfinite(np.dot(values, values)):
-            for i in np.flatnonzero(~np.isfinite(values) & self._running)[:1]:
+        finite = np.isfinite(values)
+        if not finite.all():
+            for i in np.flatnonzero(~finite & self._running)[:1]:
                 raise ValueError(f"`actions` must be finite, got {values[i]} for environment {i}.")
         return values
 
