@@ -19,7 +19,7 @@ from {step} import advance_all, output
 @njit(cache=True, nogil=True)
 def run(rows, settings, memory, law, table, observations, outputs, controls, rewards, terminated, start, stop):
     """Episodes start to stop from their first observations (B, N+1, 3n+1) on; what follows an episode's end stays as it is."""
-    limit, work = settings[2], np.empty({work})
+    limit, work, none = settings[2], np.empty({work}), np.empty(0)
     for first in range(start, stop, {block}):
         count = min({block}, stop - first)
         columns, seen = np.empty((rows.shape[1], count)), np.empty((count, observations.shape[2]))
@@ -31,7 +31,9 @@ def run(rows, settings, memory, law, table, observations, outputs, controls, rew
                 if active[j]:
                     actions[j] = control(seen[j], memory[first + j], k == 0, law) / limit
                     controls[first + j, k] = limit * min(max(actions[j], -1.0), 1.0)
-            advance_all(columns, settings, active, table, actions, seen, gains, ended, cut, work, 0, count)
+            advance_all(
+                columns, settings, active, none, work, 0, count, table, actions, seen, gains, ended, cut
+            )
             for j in range(count):
                 if active[j]:
                     i = first + j

@@ -183,6 +183,11 @@ class Bound:
         more = b"" if INTERPRETED else self._entry.packed(arguments, len(self._arguments))
         return Bound(self._entry, (*self._arguments, *arguments), self._packed + more)
 
+    def extended(self, like: "Bound") -> "Bound":
+        """With the further arguments that another one has."""
+        more = like._arguments[len(self._arguments) :]
+        return Bound(self._entry, (*self._arguments, *more), self._packed + like._packed[len(self._packed) :])
+
     def __call__(self, *arguments: Any) -> Any:
         if INTERPRETED:
             return self._entry.py_func(*self._arguments, *arguments)
@@ -250,6 +255,12 @@ class Method(Coded):
             return result
 
         return call
+
+
+def bind_all(functions: Sequence[Bound], *arguments: Any) -> list[Bound]:
+    """`bind` of the same further arguments to functions that are one entry with as many first arguments."""
+    first = functions[0].bind(*arguments)
+    return [first, *(function.extended(first) for function in functions[1:])]
 
 
 def entry(signature: str, **options: Any) -> Any:

@@ -143,11 +143,11 @@ def start_all(rows, settings):
 
 ADVANCE_ALL = '''@entry({advance_all_types})
 def advance_all(
-    columns, settings, active, table, actions, observations, rewards, terminated, truncated, work, start, stop
+    columns, settings, active, fresh, work, start, stop, table, actions, observations, rewards, terminated, truncated
 ):
     """`advance` of the episodes start to stop, one after the other; one that is not active is observed as it is.
 
-    Episodes are columns here, shape (row, N).
+    Episodes are columns here, shape (row, N). Those that are not active begin anew with the row `fresh`, if it is one.
     """
     row = work[0, : {clock} + 1]
     for i in range(start, stop):
@@ -156,6 +156,9 @@ def advance_all(
         if active[i]:
             rewards[i], terminated[i], truncated[i] = advance(row, actions[i], settings, observations[i])
         else:
+            if fresh.size > 0:
+                for k in range(row.size):
+                    row[k] = fresh[k]
             rewards[i], terminated[i], truncated[i] = 0.0, False, False
             observe_plant(row, settings, observations[i])
             observe_reference(row, row[{clock}] * settings[0], observations[i])

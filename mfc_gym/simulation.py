@@ -211,6 +211,15 @@ class Simulation:
             self.kernel.start_all(rows, self.settings)
         return rows
 
+    def fresh(self) -> Array:
+        """The row that every episode begins with, shape (row,), if nothing is drawn; else shape (0,)."""
+        if self._drawn is not None:
+            return np.empty(0)
+        row = self._start[None].copy()
+        if self.driving.moves:
+            self.kernel.start_all(row, self.settings)
+        return row[0]
+
     def set_theta(self, rows: Array, theta: Any, num_envs: int | None = None) -> None:
         """New declared theta for running episodes, (p,) or one for each; what is scheduled moves on about it.
 

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mfc_gym import team
-from mfc_gym.compiled import Bound
+from mfc_gym.compiled import Bound, bind_all
 from mfc_gym.nominal import NominalModel
 from mfc_gym.simulation import Simulation
 from mfc_gym.stepping import BLOCK
@@ -70,7 +70,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             work = num_envs * (self.simulation.substeps + 4)
             threads = min(team.cores(), max(1, work // THREAD_WORK))
         self._spans = spans(num_envs, _count("threads", threads))
-        self._work = [np.empty(self.simulation.kernel.WORK) for _ in self._spans]
+        self._fresh = self.simulation.fresh()
 
     @property
     def nominal(self) -> NominalModel:
@@ -139,7 +139,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def step(self, actions: Any) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         self._require_running()
         values = self._actions(actions)
-        if self._waiting.size:
+        if self._waiting.size and not self._fresh.size:
             self._begin(self._waiting, None)
         observations, rewards = np.empty(self._shape), np.empty(self.num_envs)
         terminated, truncated = np.empty(self.num_envs, dtype=bool), np.empty(self.num_envs, dtype=bool)
@@ -168,9 +168,11 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, row, observations)
 
     @cached_property
-    def _bound(self) -> Bound:
-        """The compiled step of these environments."""
-        return self.simulation.kernel.advance_all.bind(self._columns, self.simulation.settings, self._running)
+    def _bound(self) -> list[Bound]:
+        """The compiled step of these environments, one for each thread."""
+        simulation = self.simulation
+        step = simulation.kernel.advance_all.bind(self._columns, simulation.settings, self._running, self._fresh)
+        return [step.bind(np.empty(simulation.kernel.WORK), *span) for span in self._spans]
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what refers to these very arrays."""
@@ -178,8 +180,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     def _advance(self, values: Array, *results: Array) -> None:
         """The kernel, on all threads."""
-        advance = self._bound.bind(self._table, values, *results)
-        team.run([advance.bind(work, *span) for work, span in zip(self._work, self._spans, strict=True)])
+        team.run(bind_all(self._bound, self._table, values, *results))
 
     def _info(self, observations: Array, terminated: Mask, ended: Mask, chosen: NDArray[np.intp]) -> dict[str, Any]:
         """What Gymnasium's vector environments make of the scalar environments' infos."""
