@@ -86,12 +86,11 @@ def vector(num_envs: int = 16384) -> list[Row]:
     native: dict[str, Any] = {"vectorization_mode": "vector_entry_point"}
     yardstick = median_rate(steps(gym.make_vec("CartPole-v1", num_envs=num_envs, **native)))
     rows: list[Row] = [(f"CartPoleVectorEnv, {num_envs}", yardstick, "steps/s", None)]
-    for substeps in (1, 10):
-        rate = median_rate(steps(gym.make_vec(ID, num_envs=num_envs, substeps=substeps, **native)))
-        rows.append((f"PerturbedChain, {num_envs}, {substeps} substeps", rate, "steps/s", rate / yardstick))
-    for threads in (1, 2):
-        rate = median_rate(steps(gym.make_vec(ID, num_envs=num_envs, substeps=10, threads=threads, **native)))
-        rows.append((f"the same on {threads} thread{'s' * (threads > 1)}", rate, "steps/s", rate / yardstick))
+    for substeps, name in ((1, "1 substep"), (10, "10 substeps")):
+        for threads, where in ((None, ""), (1, ", 1 thread"), (2, ", 2 threads")):
+            envs = gym.make_vec(ID, num_envs=num_envs, substeps=substeps, threads=threads, **native)
+            rate = median_rate(steps(envs))
+            rows.append((f"PerturbedChain, {num_envs}, {name}{where}", rate, "steps/s", rate / yardstick))
     rate = median_rate(steps(SyncVectorEnv([lambda: gym.make(ID)] * 64)))
     rows.append(("SyncVectorEnv, 64", rate, "steps/s", rate / yardstick))
     return rows

@@ -59,11 +59,9 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return partial(njit, **options) if function is None else Function(function, options)
 
 
-TYPE = re.compile(
-    r"(\w+)(\[(:, )?::1\])?"
-)  # of a signature: a number, or a C-contiguous array of one or two dimensions
-DTYPES = {"float64": np.dtype(np.float64), "uint64": np.dtype(np.uint64), "int64": np.dtype(np.int64)} | {
-    "boolean": np.dtype(np.bool_)
+TYPE = re.compile(r"(\w+)(\[(:, )?::1\])?")  # of a signature: a number, or a C-contiguous array with one or two axes
+DTYPES = {
+    name: np.dtype(kind) for name, kind in (("float64", float), ("int64", "i8"), ("uint64", "u8"), ("boolean", bool))
 }
 RESULTS: dict[str, Any] = {
     "void": ctypes.c_void_p,
@@ -90,7 +88,7 @@ class Coded(Function):
     def address(self) -> int:
         """Where the code is in memory."""
         with _lock:
-            folder, text = kernels.cache_directory(), getattr(sys.modules[self.__module__], "__file__", None)
+            folder, text = kernels.cache_directory(), getattr(sys.modules.get(self.__module__), "__file__", None)
             path = None
             if folder is not None and text is not None and Path(text).parent == folder:
                 path = folder / f"{self.__module__}.{self.py_func.__name__}.{machine_code.key()}.o"

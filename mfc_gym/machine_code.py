@@ -1,7 +1,7 @@
 """Machine code: taken from a function that Numba has compiled, kept in a file, loaded by LLVM alone.
 
 Importing Numba takes longer than everything else that the first step of an environment needs; code that was compiled before does
-without it. What it calls outside of itself are the functions of C's math library and those of `PYTHON`.
+without it. What it calls outside of itself are functions of C's library and those of `PYTHON`.
 """
 
 import ctypes
@@ -15,33 +15,11 @@ import llvmlite.binding as llvm
 from mfc_gym import kernels
 from mfc_gym.stubs import FUNCTION, STUB
 
-PYTHON = (
-    "PyFloat_AsDouble",
-    "PyFloat_FromDouble",
-    "PyBool_FromLong",
-    "PyLong_AsVoidPtr",
-    "PyTuple_New",
-    "PyTuple_SetItem",
-)
-MATH = {
-    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
-    *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "sqrt", "cbrt", "hypot", "erf", "erfc"),
-    *(
-        "fabs",
-        "floor",
-        "ceil",
-        "trunc",
-        "rint",
-        "round",
-        "fmod",
-        "fmin",
-        "fmax",
-        "ldexp",
-        "memset",
-        "memcpy",
-        "memmove",
-    ),
+PYTHON = {  # what a method calls of Python's C API
+    *("PyFloat_AsDouble", "PyFloat_FromDouble", "PyBool_FromLong"),
+    *("PyLong_AsVoidPtr", "PyTuple_New", "PyTuple_SetItem"),
 }
+STANDARD = {"numba_gamma": "tgamma", "numba_ldexp": "ldexp"}  # functions of Numba's own -> the same of C's library
 RELEASE = "NRT_MemInfo_call_dtor"  # frees an array that Numba allocated; there are none here
 RELEASE_NOTHING = f"""
 define void @{RELEASE}(ptr %memory) {{
@@ -75,13 +53,15 @@ def of(dispatcher: Any, stub: str) -> bytes:
     for function in module.functions:
         if not function.is_declaration and function.name != STUB:
             function.linkage = llvm.Linkage.internal
+        elif function.name in STANDARD:
+            function.name = STANDARD[function.name]
     machine = _machine()
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.add_strip_dead_prototype_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     called = {f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")}
-    if unknown := called - MATH - set(PYTHON):
+    if unknown := {name for name in called - PYTHON if name.startswith("Py") or not hasattr(ctypes.pythonapi, name)}:
         raise RuntimeError(f"{dispatcher.py_func.__qualname__} must not call {sorted(unknown)}.")
     return bytes(machine.emit_object(module))
 
