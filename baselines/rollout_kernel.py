@@ -25,14 +25,14 @@ def run(rows, settings, memory, law, table, observations, outputs, controls, rew
         columns, seen = np.empty((rows.shape[1], count)), np.empty((count, observations.shape[2]))
         columns[:], seen[:] = rows[first : first + count].T, observations[first : first + count, 0]
         actions, gains, active = np.empty(count), np.empty(count), np.ones(count, np.bool_)
-        ended, cut = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        ends = np.empty((2, count), np.bool_)
         for k in range(controls.shape[1]):
             for j in range(count):
                 if active[j]:
                     actions[j] = control(seen[j], memory[first + j], k == 0, law) / limit
                     controls[first + j, k] = limit * min(max(actions[j], -1.0), 1.0)
             advance_all(
-                columns, settings, active, none, work, 0, count, table, actions, seen, gains, ended, cut
+                columns, settings, active, none, actions, work, 0, count, table, seen, gains, ends
             )
             for j in range(count):
                 if active[j]:
@@ -40,8 +40,8 @@ def run(rows, settings, memory, law, table, observations, outputs, controls, rew
                     for m in range(seen.shape[1]):
                         observations[i, k + 1, m] = seen[j, m]
                     outputs[i, k + 1] = output(columns[:, j])
-                    rewards[i, k], terminated[i] = gains[j], ended[j]
-                    active[j] = not (ended[j] or cut[j])
+                    rewards[i, k], terminated[i] = gains[j], ends[0, j]
+                    active[j] = not (ends[0, j] or ends[1, j])
             if not active.any():
                 break
         rows[first : first + count] = columns.T

@@ -64,11 +64,13 @@ DTYPES = {
     name: np.dtype(kind) for name, kind in (("float64", float), ("int64", "i8"), ("uint64", "u8"), ("boolean", bool))
 }
 RESULTS: dict[str, Any] = {
-    "void": ctypes.c_void_p,
+    "void": None,
     "float64": ctypes.c_double,
     "int64": ctypes.c_int64,
     "boolean": ctypes.c_bool,
 }
+_NOTHING = ctypes.c_void_p()  # where Numba writes the result of a function that has none
+_AT_NOTHING = ctypes.addressof(_NOTHING)
 _bytes = (ctypes.c_char * 0).from_buffer  # of a writable, C-contiguous array
 
 
@@ -137,13 +139,18 @@ class Entry(Coded):
             if not dimensions:
                 values.append(value)
                 continue
-            shape = value.shape
-            if value.dtype != DTYPES[name] or len(shape) != dimensions:
+            shape, dtype = value.shape, value.dtype
+            if (dtype is not DTYPES[name] and dtype != DTYPES[name]) or len(shape) != dimensions:
                 raise TypeError(
                     f"{self.__name__} takes arrays of {name} with {dimensions} axes, got {value.dtype} of shape {shape}."
                 )
             values += (ctypes.addressof(_bytes(value)), *shape)
         return self._structs[first][len(arguments)].pack(*values)
+
+    @cached_property
+    def _size(self) -> int:
+        """Bytes of all arguments."""
+        return self._structs[0][-1].size
 
     @cached_property
     def _structs(self) -> list[list[struct.Struct]]:
@@ -155,13 +162,15 @@ class Entry(Coded):
     def run(self, packed: bytes) -> Any:
         """The function of these arguments."""
         self.require_all(packed)
+        if self._result is None:
+            return self.check(self._call(packed, _AT_NOTHING))
         result = self._result()
         self.check(self._call(packed, ctypes.addressof(result)))
         return result.value
 
     def require_all(self, packed: bytes) -> None:
         """Raises TypeError unless these are all arguments."""
-        if len(packed) != self._structs[0][-1].size:
+        if len(packed) != self._size:
             raise TypeError(f"{self.__name__} takes {len(self._types)} arguments, got fewer.")
 
     def check(self, status: int) -> None:

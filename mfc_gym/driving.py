@@ -143,7 +143,7 @@ def start_all(rows, settings):
 
 ADVANCE_ALL = '''@entry({advance_all_types})
 def advance_all(
-    columns, settings, active, fresh, work, start, stop, table, actions, observations, rewards, terminated, truncated
+    columns, settings, active, fresh, actions, work, start, stop, table, observations, rewards, ends
 ):
     """`advance` of the episodes start to stop, one after the other; one that is not active is observed as it is.
 
@@ -154,12 +154,12 @@ def advance_all(
         for k in range(row.size):
             row[k] = columns[k, i]
         if active[i]:
-            rewards[i], terminated[i], truncated[i] = advance(row, actions[i], settings, observations[i])
+            rewards[i], ends[0, i], ends[1, i] = advance(row, actions[i], settings, observations[i])
         else:
             if fresh.size > 0:
                 for k in range(row.size):
                     row[k] = fresh[k]
-            rewards[i], terminated[i], truncated[i] = 0.0, False, False
+            rewards[i], ends[0, i], ends[1, i] = 0.0, False, False
             observe_plant(row, settings, observations[i])
             observe_reference(row, row[{clock}] * settings[0], observations[i])
         for k in range(row.size):

@@ -134,13 +134,13 @@ class Simulation:
     def table(self, rows: Array) -> Array:
         """The reference at the samples 0, 1, ..., (N, n+1), if it is the same in all these episodes; else no samples."""
         same = (self.row_reference(rows) == self.row_reference(self._start)).all()
-        return self._table if same else self._table[:0]
+        return self._tables[0 if same else 1]
 
     @cached_property
-    def _table(self) -> Array:
+    def _tables(self) -> tuple[Array, Array]:
         table = np.empty((min(self.steps, TABULATED) + 1, self.plant.order + 1))
         self.kernel.tabulate(self.row_reference(self._start).copy(), self.dt, table)
-        return table
+        return table, table[:0]
 
     # -- spaces -------------------------------------------------------------------------------------------------------
 

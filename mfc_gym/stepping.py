@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 BLOCK = 128  # episodes that are integrated side by side, so that the compiler uses vector instructions
 
 ADVANCE_ALL_TYPES = (
-    "void(float64[:, ::1], float64[::1], boolean[::1], float64[::1], float64[:, ::1], int64, int64, "
-    "float64[:, ::1], float64[::1], float64[:, ::1], float64[::1], boolean[::1], boolean[::1])"
+    "void(float64[:, ::1], float64[::1], boolean[::1], float64[::1], float64[::1], float64[:, ::1], int64, int64, "
+    "float64[:, ::1], float64[:, ::1], float64[::1], boolean[:, ::1])"
 )
 
 TEMPLATE = '''"""Generated: the environment step of a plant following the reference {reference!r}. Do not edit."""
@@ -123,14 +123,14 @@ def integrate_block(x, theta, u, inside, count, settings):
 
 @entry({advance_all_types})
 def advance_all(
-    columns, settings, active, fresh, work, start, stop, table, actions, observations, rewards, terminated, truncated
+    columns, settings, active, fresh, actions, work, start, stop, table, observations, rewards, ends
 ):
     """`advance` of the episodes start to stop; one that is not active is observed as it is, its action does not count.
 
     Episodes are columns here, shape (row, N). Those that are not active begin anew with the row `fresh`, if it is one, shape
-    (row,), else (0,). If all have the same reference, the table holds it, (samples, n+1); else it has
-    no samples. Short loops over a block, one after the other, become vector instructions; they work in `work`,
-    of shape WORK.
+    (row,), else (0,). If all have the same reference, the table holds it, (samples, n+1); else it has no samples. `ends`
+    receives terminated and truncated, (2, N). Short loops over a block, one after the other, become vector instructions; they
+    work in `work`, of shape WORK.
     """
     x, theta, u, inside = work[:{n}], work[{n} : {n} + {p}], work[{n} + {p}], work[{n} + {p} + 1]
     for first in range(start, stop, {block}):
@@ -172,10 +172,10 @@ def advance_all(
         for j in range(count):
             i = np.uintp(first + j)
             error = {output_of_block} - observations[i, {reference_start}]
-            gain, ends, is_last = conclude(error, u[j], inside[j] > 0.0, columns[{clock}, i], settings)
+            gain, terminates, is_last = conclude(error, u[j], inside[j] > 0.0, columns[{clock}, i], settings)
             rewards[i] = gain if active[i] else 0.0
-            terminated[i] = ends & active[i]
-            truncated[i] = is_last & active[i]
+            ends[0, i] = terminates & active[i]
+            ends[1, i] = is_last & active[i]
 '''
 
 EPISODES = '''WORK = {work}

@@ -24,6 +24,9 @@ Mask = NDArray[np.bool_]
 
 THREAD_WORK = 25_000  # substeps of all environments (and 4 more each) that pay for one thread, even if it must be woken
 
+COPIED = 512  # environments up to which it is faster to copy results than to say where new arrays are
+BOUND = ("_steps", "_own_step")  # what refers to the very arrays of an environment
+
 
 class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     """`num_envs` environments as `mfc_gym.env.TrackingEnv`, with its options, at once.
@@ -63,6 +66,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._columns = np.full((self.simulation.row_size, num_envs), np.nan)  # one episode each
         self._shape = (num_envs, *self.single_observation_space.shape)
         self._streams = ManyStreams(num_envs)
+        self._actions, self._actions_shape = np.empty(num_envs), (num_envs, 1)
         self._running = np.ones(num_envs, dtype=bool)
         self._waiting = np.arange(0)  # where the episode has ended and the next one has not begun
         self._begun = False  # whether every environment has been reset
@@ -71,6 +75,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             threads = min(team.cores(), max(1, work // THREAD_WORK))
         self._spans = spans(num_envs, _count("threads", threads))
         self._fresh = self.simulation.fresh()
+        self._table: Array | None = None
 
     @property
     def nominal(self) -> NominalModel:
@@ -138,12 +143,10 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     def step(self, actions: Any) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         self._require_running()
-        values = self._actions(actions)
+        self._take(actions)
         if self._waiting.size and not self._fresh.size:
             self._begin(self._waiting, None)
-        observations, rewards = np.empty(self._shape), np.empty(self.num_envs)
-        terminated, truncated = np.empty(self.num_envs, dtype=bool), np.empty(self.num_envs, dtype=bool)
-        self._advance(values, observations, rewards, terminated, truncated)
+        observations, rewards, (terminated, truncated) = self._advance()
         ended = terminated | truncated
         chosen = np.flatnonzero(ended)
         info = self._info(observations, terminated, ended, chosen) if chosen.size else {}
@@ -160,27 +163,47 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._columns[:, chosen] = rows.T
         differ = options or self.simulation.scenario == "random"
         table = self.simulation.table(rows if differ else rows[:0])
-        if chosen.size == self.num_envs or not table.size:
+        if table is not self._table and (chosen.size == self.num_envs or not table.size):
             self._table = table  # of all episodes
+            for name in BOUND:
+                self.__dict__.pop(name, None)
 
     def _observe(self, chosen: Mask, observations: Array) -> None:
         row = np.empty(self.simulation.row_size)
         self.simulation.kernel.observe_all(self._columns, self.simulation.settings, chosen, row, observations)
 
+    def _advance(self) -> tuple[Array, Array, Mask]:
+        """The compiled step: observations, rewards, [terminated, truncated]."""
+        if self.num_envs <= COPIED:
+            own, step = self._own_step
+            team.run(step)
+            observations, rewards, ends = own
+            return observations.copy(), rewards.copy(), ends.copy()
+        results = self._results()
+        team.run(bind_all(self._steps, *results))
+        return results
+
+    def _results(self) -> tuple[Array, Array, Mask]:
+        return np.empty(self._shape), np.empty(self.num_envs), np.empty((2, self.num_envs), dtype=bool)
+
     @cached_property
-    def _bound(self) -> list[Bound]:
+    def _own_step(self) -> tuple[tuple[Array, Array, Mask], list[Bound]]:
+        """Arrays for the results, and the compiled step that writes them."""
+        own = self._results()
+        return own, bind_all(self._steps, *own)
+
+    @cached_property
+    def _steps(self) -> list[Bound]:
         """The compiled step of these environments, one for each thread."""
         simulation = self.simulation
-        step = simulation.kernel.advance_all.bind(self._columns, simulation.settings, self._running, self._fresh)
-        return [step.bind(np.empty(simulation.kernel.WORK), *span) for span in self._spans]
+        step = simulation.kernel.advance_all.bind(
+            self._columns, simulation.settings, self._running, self._fresh, self._actions
+        )
+        return [step.bind(np.empty(simulation.kernel.WORK), *span, self._table) for span in self._spans]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what refers to these very arrays."""
-        return {name: value for name, value in self.__dict__.items() if name != "_bound"}
-
-    def _advance(self, values: Array, *results: Array) -> None:
-        """The kernel, on all threads."""
-        team.run(bind_all(self._bound, self._table, values, *results))
+        """A copy binds its own arrays."""
+        return {name: value for name, value in self.__dict__.items() if name not in BOUND}
 
     def _info(self, observations: Array, terminated: Mask, ended: Mask, chosen: NDArray[np.intp]) -> dict[str, Any]:
         """What Gymnasium's vector environments make of the scalar environments' infos."""
@@ -210,23 +233,22 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
                 'reset(options={"reset_mask": terminated | truncated}) before step.'
             )
 
-    def _actions(self, actions: Any) -> Array:
-        """Shape (num_envs,), a copy, finite wherever an action counts."""
+    def _take(self, actions: Any) -> None:
+        """Copies the actions, shape (num_envs,), which must be finite wherever one counts."""
         try:
             given = np.asarray(actions)
         except ValueError:  # ragged
             given = np.array(None)
-        if given.shape != (self.num_envs, 1) or given.dtype.kind not in "fiu":
+        if given.shape != self._actions_shape or given.dtype.kind not in "fiu":
             raise ValueError(
                 f"`actions` must be {self.num_envs} numbers, shape ({self.num_envs}, 1), "
                 f"got {actions!r} of shape {given.shape}."
             )
-        values = np.array(given[:, 0], dtype=np.float64)
-        finite = np.isfinite(values)
+        self._actions[:] = given[:, 0]
+        finite = np.isfinite(self._actions)
         if not finite.all():
             for i in np.flatnonzero(~finite & self._running)[:1]:
-                raise ValueError(f"`actions` must be finite, got {values[i]} for environment {i}.")
-        return values
+                raise ValueError(f"`actions` must be finite, got {self._actions[i]} for environment {i}.")
 
     def _mask(self, mask: Any) -> Mask:
         """Which environments to reset; errors as those of Gymnasium's own vector environments."""
