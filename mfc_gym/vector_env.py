@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 THREAD_WORK = 25_000  # substeps of all environments (and 4 more each) that pay for one thread, even if it must be woken
-
 COPIED = 512  # environments up to which it is faster to copy results than to say where new arrays are
 BOUND = ("_steps", "_own_step")  # what refers to the very arrays of an environment
 
@@ -75,7 +74,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             threads = min(team.cores(), max(1, work // THREAD_WORK))
         self._spans = spans(num_envs, _count("threads", threads))
         self._fresh = self.simulation.fresh()
-        self._table: Array | None = None
+        self._table = self.simulation.table(self._columns[:, :0].T)  # of all episodes so far
 
     @property
     def nominal(self) -> NominalModel:
@@ -164,7 +163,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         differ = options or self.simulation.scenario == "random"
         table = self.simulation.table(rows if differ else rows[:0])
         if table is not self._table and (chosen.size == self.num_envs or not table.size):
-            self._table = table  # of all episodes
+            self._table = table
             for name in BOUND:
                 self.__dict__.pop(name, None)
 

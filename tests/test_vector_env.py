@@ -183,8 +183,9 @@ def test_reset_mask_touches_nothing_else(mode, case):
     assert case == "sensors" or same(observations[mask, :3], states[mask])
 
 
-def test_environments_can_be_reset_one_after_the_other():
-    whole, parts = native(3, scenario="random"), native(3, scenario="random")
+@pytest.mark.parametrize("scenario", ["paper", "random"])
+def test_environments_can_be_reset_one_after_the_other(scenario):
+    whole, parts = native(3, scenario=scenario), native(3, scenario=scenario)
     expected, _ = whole.reset(seed=0)
     for one in np.eye(3, dtype=bool):
         observations, _ = parts.reset(seed=0, options={"reset_mask": one})
@@ -193,6 +194,25 @@ def test_environments_can_be_reset_one_after_the_other():
             with pytest.raises(gym.error.ResetNeeded):
                 parts.step(np.zeros((3, 1)))
     assert same(observations, expected)
+    assert same(parts.step(np.full((3, 1), 0.1))[0], whole.step(np.full((3, 1), 0.1))[0])
+
+
+@pytest.mark.parametrize("num_envs", [3, 700])
+def test_each_follows_its_own_reference(num_envs):
+    """Also where most follow the usual one, which comes from a table; then all again. Few are copied, many are not."""
+    envs, one = native(num_envs, threads=2), gym.make(ID, **SHORT)
+    envs.reset(seed=0)
+    mask, action = np.arange(num_envs) == 1, np.full((num_envs, 1), 0.01)
+    for amplitude in (0.5, 1.0):
+        chosen = {"reset_mask": mask} if amplitude != 1.0 else {}
+        envs.reset(options={"reference_parameters": {"amplitude": amplitude}} | chosen)
+        one.reset(options={"reference_parameters": {"amplitude": amplitude}})
+        for _ in range(5):
+            observations, rewards, *_ = envs.step(action)
+            observation, reward, *_ = one.step([0.01])
+            assert same(observations[1], observation)
+            assert rewards[1] == reward
+            assert same(observations[0, -4:] == observation[-4:], np.full(4, amplitude == 1.0))
 
 
 @pytest.mark.parametrize(
