@@ -92,15 +92,19 @@ def settings(env: str, options: Mapping[str, Any], shifts: Mapping[str, Shift]) 
     return {name: setting for name, setting in found.items() if setting.applies}
 
 
+def entries(policy: Policy, setting: Setting) -> tuple[evaluation.Entry, ...]:
+    """Every run of a policy, ready. Raises ValueError for one that does not fit."""
+    return tuple(evaluation.entry(one, setting.scalar) for one in policy.specifications)
+
+
 def play(policy: Policy, setting: Setting, seeds: range, progress: Callable[[], object] = lambda: None) -> Played:
     """All runs of a policy on the same episodes."""
-    entries = tuple(evaluation.entry(one, setting.scalar) for one in policy.specifications)
-    runs = []
-    for one in entries:
+    runs, found = [], entries(policy, setting)
+    for one in found:
         runs.append(setting.scores(one.policy, seeds))
         progress()
     scores = {name: np.stack([run[name] for run, _ in runs]) for name in MEASURES}
-    return Played(entries, scores, runs[0][1])
+    return Played(found, scores, runs[0][1])
 
 
 def policies(texts: Sequence[str]) -> list[Policy]:

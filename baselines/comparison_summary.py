@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from baselines import statistics
 from baselines.comparison import MEASURES
@@ -154,6 +153,6 @@ def _aggregates(name: str, x: Array, bootstrap: Bootstrap) -> Data:
 def _escapes(x: Array, bootstrap: Bootstrap) -> Data:
     """Count, number of episodes, and the rate; its interval covers the exact binomial one, which is not empty at 0."""
     count, rate = round(x.sum()), bootstrap(statistics.mean, x)
-    exact = binomtest(count, x.size).proportion_ci(bootstrap.level, method="exact")
+    exact = statistics.rate(x, bootstrap.level)
     hull = Estimate(rate.value, min(rate.low, exact.low), max(rate.high, exact.high))
     return {"count": count, "episodes": x.size, "rate": plain(hull)}

@@ -40,7 +40,7 @@ def episode(results: Sequence[Result]) -> Figure:
         error.semilogy(t.time, np.maximum(np.abs(t.error), 1e-12), linewidth=1)
         control.step(t.time[:-1], t.control, where="post", linewidth=0.8)
     output.set_ylabel("$y$")
-    output.legend(loc="upper right", fontsize="small")
+    figure.legend(loc="outside upper left", ncols=4, frameon=False, fontsize="small")
     error.set_ylabel("$|y - y_d|$")
     control.set_ylabel("$u$")
     return figure

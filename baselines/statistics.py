@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import rankdata, trim_mean
+from scipy.stats import binomtest, rankdata, trim_mean
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ CHUNK = 2**20  # scores resampled at a time: 8 MB of indices and 8 MB of scores
 
 
 class Estimate(NamedTuple):
-    """A statistic and its bootstrap interval, each of the statistic's own shape."""
+    """A statistic and its interval, each of the statistic's own shape."""
 
     value: Array
     low: Array
@@ -107,6 +107,13 @@ def normalised_score(cost: npt.ArrayLike, cost_zero: npt.ArrayLike, cost_ref: np
     if np.isnan(J).any():
         raise ValueError(f"`cost` must not contain NaN, got {np.isnan(J).sum()} of {J.size}.")
     return np.asarray((J_zero - J) / (J_zero - J_ref))
+
+
+def rate(events: npt.ArrayLike, level: float = 0.95) -> Estimate:
+    """Rate of independent events (0 or 1), with Clopper and Pearson's interval, which is not empty where none happened."""
+    x = np.asarray(events)
+    exact = binomtest(round(x.sum()), x.size).proportion_ci(level, method="exact")
+    return Estimate(np.asarray(x.mean()), np.asarray(exact.low), np.asarray(exact.high))
 
 
 def bootstrap(

@@ -79,6 +79,8 @@ def options(args: Arguments) -> dict[str, Any]:
 def play(args: Arguments, policies: list[Policy], against: str, bar: Progress) -> Contest:
     """Every policy under every shift."""
     settings = comparison.settings(args.env, options(args), shifts.chosen(args.shifts))
+    for policy in policies:  # one that does not fit is found before the first episode
+        comparison.entries(policy, settings[shifts.IN_DISTRIBUTION])
     seeds = range(args.seed, args.seed + args.episodes)
     task = bar.add_task("episodes", total=len(settings) * sum(len(policy.specifications) for policy in policies))
     played: dict[str, Mapping[str, Played]] = {}

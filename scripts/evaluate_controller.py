@@ -111,7 +111,7 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
 
 
 def table(results: list[evaluation.Result], title: str) -> Table:
-    """One row per metric, one column per controller; over many episodes the interquartile mean and its 95 % interval."""
+    """One row per metric, one column per controller; over many episodes the interquartile mean with its 95 % interval."""
     drawn = Table(
         title=title, caption="e = y - y_d; the transient is the first half of the horizon, the tail the second"
     )
@@ -132,8 +132,9 @@ def _cell(values: np.ndarray, metric: str) -> str:
         return "-"
     if values.size == 1:
         return f"{values[0]:.4g}"
-    statistic = statistics.mean if metric == "escaped" else statistics.iqm
-    estimate = statistics.bootstrap(statistic, values, reps=2000, seed=0)
+    estimate = (
+        statistics.rate(values) if metric == "escaped" else statistics.bootstrap(statistics.iqm, values, reps=2000)
+    )
     return f"{estimate.value:.3g} [{estimate.low:.3g}, {estimate.high:.3g}]"
 
 

@@ -25,6 +25,7 @@ from baselines.statistics import (
     paired_difference,
     performance_profile,
     probability_of_improvement,
+    rate,
 )
 
 EPS = float(np.finfo(float).eps)
@@ -234,3 +235,13 @@ BAD: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
 def test_bad_input(function: Callable[..., Any], arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         function(*arguments)
+
+
+def test_rate_of_events_is_clopper_and_pearsons() -> None:
+    """None of n: the upper end is 1 - (alpha / 2)^(1/n); all of n: the lower end (alpha / 2)^(1/n)."""
+    for n in (6, 200):
+        none, every = rate(np.zeros(n)), rate(np.ones(n), level=0.9)
+        assert none.value == none.low == 0
+        assert none.high == pytest.approx(1 - 0.025 ** (1 / n), rel=1e-12)
+        assert every.value == every.high == 1
+        assert every.low == pytest.approx(0.05 ** (1 / n), rel=1e-12)
