@@ -261,6 +261,7 @@ def experience(num_envs: int = 64) -> list[Row]:
     import stable_baselines3
     import torch
     from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecEnv
 
     from baselines import agents, collection
@@ -270,6 +271,7 @@ def experience(num_envs: int = 64) -> list[Row]:
 
     def collect(algorithm: Any, envs: VecEnv) -> Callable[[], int]:
         model = algorithm("MlpPolicy", envs, n_steps=64, batch_size=64, seed=0, device="cpu")
+        model.set_logger(Logger(folder=None, output_formats=[]))
         _, callback = model._setup_learn(10**9)
 
         def work() -> int:
