@@ -27,7 +27,7 @@ define void @{RELEASE}(ptr %memory) {{
 }}
 """
 
-_kept: list[Any] = []  # what lives as long as the process: the code, and what Python's functions refer to
+_engines: list[Any] = []  # the code lives as long as these
 
 
 @cache
@@ -83,7 +83,7 @@ def _addresses(engine: Any, *names: str) -> list[int]:
     found = [int(engine.get_function_address(name)) for name in names]
     if not all(found):
         raise RuntimeError(f"no functions {names} in the code.")
-    _kept.append(engine)
+    _engines.append(engine)
     return found
 
 
@@ -142,10 +142,13 @@ class Definition(ctypes.Structure):
 ONE_ARGUMENT = 8  # METH_O
 
 
+@cache
+def _definition(name: str, address: int) -> Definition:
+    return Definition(name.encode(), address, ONE_ARGUMENT, None)
+
+
 def method(name: str, address: int, self: object) -> Any:
     """The Python function of one argument that calls the code at this address with `self` before it."""
-    definition = Definition(name.encode(), address, ONE_ARGUMENT, None)
-    _kept.append(definition)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.restype, make.argtypes = ctypes.py_object, (ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
-    return make(ctypes.addressof(definition), self, None)
+    return make(ctypes.addressof(_definition(name, address)), self, None)

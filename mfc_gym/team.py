@@ -8,7 +8,7 @@ import ctypes
 import os
 import platform
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -126,10 +126,13 @@ class Helper:
             self._awake.release()
 
     def wait(self) -> int:
-        """The status of the job, once it is done."""
+        """The status of the job, once it is done; of the one before, if it was not begun."""
         _, _, wait = _native()
-        status, self._job = wait(ctypes.addressof(self._box), LOOKS), None
-        return int(status)
+        if self._box[0] == POSTED:
+            self._awake.release()  # once too often does no harm, once too seldom it would sleep on
+        status = int(wait(ctypes.addressof(self._box), LOOKS))
+        self._job = None
+        return status
 
 
 def cores() -> int:
@@ -147,6 +150,21 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not survive a fork
 
 
+def _statuses(helpers: Iterable[Helper]) -> dict[Helper, int]:
+    """Of the last jobs of these helpers, once all are done, whatever the user interrupts: they write where the caller reads."""
+    found: dict[Helper, int] = {}
+    interrupt: KeyboardInterrupt | None = None
+    for helper in helpers:
+        while helper not in found:
+            try:
+                found[helper] = helper.wait()
+            except KeyboardInterrupt as error:
+                interrupt = error
+    if interrupt is not None:
+        raise interrupt
+    return found
+
+
 def run(jobs: Sequence[Bound]) -> None:
     """All jobs at once, as far as there are helpers and nobody else has them. Raises ArithmeticError if one fails."""
     first, *others = jobs
@@ -158,16 +176,16 @@ def run(jobs: Sequence[Bound]) -> None:
     if not free.acquire(blocking=False):
         helpers = []
     try:
-        shared = list(zip(helpers, others, strict=False))
-        for helper, job in shared:
-            helper.start(job)
+        shared = dict(zip(helpers, others, strict=False))
         try:
+            for helper, job in shared.items():
+                helper.start(job)
             for job in (first, *others[len(shared) :]):
                 job()
         finally:
-            statuses = [helper.wait() for helper, _ in shared]
-        for (_, job), status in zip(shared, statuses, strict=True):
-            job.check(status)
+            statuses = _statuses(shared)
+        for helper, job in shared.items():
+            job.check(statuses[helper])
     finally:
         if helpers:
             free.release()

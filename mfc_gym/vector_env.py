@@ -145,7 +145,11 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._take(actions)
         if self._waiting.size and not self._fresh.size:
             self._begin(self._waiting, None)
-        observations, rewards, (terminated, truncated) = self._advance()
+        try:
+            observations, rewards, (terminated, truncated) = self._advance()
+        except BaseException:  # an interrupt: some have taken the step, others have not
+            self._begun = False
+            raise
         ended = terminated | truncated
         chosen = np.flatnonzero(ended)
         info = self._info(observations, terminated, ended, chosen) if chosen.size else {}

@@ -59,6 +59,46 @@ def test_a_failure_anywhere_is_raised_and_the_others_are_done(folder: Path, help
     np.testing.assert_array_equal(out, np.arange(4))
 
 
+def interrupted(*arguments: Any) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("where", ["waking", "working"])
+def test_an_interrupt_waits_for_those_at_work(
+    folder: Path, helpers: Any, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """What the first helper was given is done when the interrupt reaches the caller, whose arrays it writes to."""
+    fill = kernels.load("mfc_test_team", lambda: SOURCE).fill
+    size = 1_000_000
+    out = np.full(4 * size, np.nan)
+    jobs = [fill.bind(out, size * i, size * (i + 1), 1) for i in range(4)]
+    with monkeypatch.context() as patch:
+        if where == "waking":
+            turns = iter([interrupted])  # before it is awake, once
+            release = helpers[1]._awake.release
+            patch.setattr(helpers[1]._awake, "release", lambda: next(turns, release)())
+        else:
+            patch.setattr(type(jobs[0]), "__call__", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            team.run(jobs)
+    np.testing.assert_array_equal(out[size : 2 * size], np.arange(size, 2 * size))
+    team.run(jobs)
+    np.testing.assert_array_equal(out, np.arange(4 * size))
+
+
+def test_after_an_interrupt_an_environment_must_be_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    envs = gym.make_vec("mfc_gym/PerturbedChain-v0", num_envs=4, vectorization_mode="vector_entry_point")
+    envs.reset(seed=0)
+    with monkeypatch.context() as patch:
+        patch.setattr(team, "run", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            envs.step(np.zeros((4, 1)))
+    with pytest.raises(gym.error.ResetNeeded):
+        envs.step(np.zeros((4, 1)))
+    envs.reset(seed=0)
+    envs.step(np.zeros((4, 1)))
+
+
 def test_who_finds_the_helpers_busy_works_alone(folder: Path, helpers: Any) -> None:
     fill = kernels.load("mfc_test_team", lambda: SOURCE).fill
     _, lock = team._helpers()
