@@ -228,7 +228,10 @@ class Method(Coded):
         self._size = size
 
     def bind(self, memory: Any) -> Callable[[float], tuple[float, bool, bool]]:
-        """The function of the number, which must be a float; the memory must live as long as it does."""
+        """The function of the number, which must be a float; the memory must live as long as it does.
+
+        It raises SystemError where the function raises anything.
+        """
         if INTERPRETED:
             return partial(self.py_func, memory)
         if memory.dtype != np.float64 or memory.shape != (self._size,):

@@ -91,7 +91,10 @@ class TrackingEnv(gym.Env[Array, NDArray[np.float32]]):
                 value = scalar_action(action)
         except (AttributeError, TypeError, ValueError):  # something else
             value = scalar_action(action)
-        reward, terminated, truncated = self._advance(value)
+        try:
+            reward, terminated, truncated = self._advance(value)
+        except SystemError as error:
+            raise ArithmeticError("The compiled step failed: its numbers are beyond what a float holds.") from error
         observation = self._observation.copy()
         if self._recorder is not None:
             self._recorder.add(observation, value)

@@ -94,13 +94,14 @@ def restore(name: str, source: str) -> ModuleType:
 
 def write(path: Path, content: bytes) -> None:
     """Complete or not at all, also when several processes write the same file."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-        try:
+    file = tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False)  # noqa: SIM115
+    try:
+        with file:
             file.write(content)
-        except BaseException:
-            os.unlink(file.name)
-            raise
-    os.replace(file.name, path)
+        os.replace(file.name, path)
+    except BaseException:
+        os.unlink(file.name)
+        raise
 
 
 def _execute(module: ModuleType, run: Callable[[], None]) -> ModuleType:

@@ -6,6 +6,7 @@ without it. What it calls outside of itself are functions of C's library and tho
 
 import ctypes
 import hashlib
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from mfc_gym.stubs import FUNCTION, STUB
 
 PYTHON = {  # what a method calls of Python's C API
     *("PyFloat_AsDouble", "PyFloat_FromDouble", "PyBool_FromLong"),
-    *("PyLong_AsVoidPtr", "PyTuple_New", "PyTuple_SetItem"),
+    *("PyLong_AsVoidPtr", "PyTuple_New", "PyTuple_SetItem", "PyErr_BadInternalCall"),
 }
 STANDARD = {"numba_gamma": "tgamma", "numba_ldexp": "ldexp"}  # functions of Numba's own -> the same of C's library
 RELEASE = "NRT_MemInfo_call_dtor"  # frees an array that Numba allocated; there are none here
@@ -88,8 +89,11 @@ def _addresses(engine: Any, *names: str) -> list[int]:
 
 
 def write(path: Path, code: bytes) -> None:
-    """A file of the code behind its hash."""
-    kernels.write(path, hashlib.sha256(code).digest() + code)
+    """A file of the code behind its hash; a warning if it cannot be written, for the code is there all the same."""
+    try:
+        kernels.write(path, hashlib.sha256(code).digest() + code)
+    except OSError as error:
+        warnings.warn(f"Machine code was compiled but not kept: {error}.", stacklevel=2)
 
 
 def read(path: Path) -> int | None:

@@ -15,12 +15,19 @@ NUMBERS = {  # Numba's name -> LLVM's type, bytes in memory, code of Python's `s
 }
 
 METHOD = f"""
+declare void @PyErr_BadInternalCall()
 declare i32 @{FUNCTION}(ptr, ptr, ptr, ptr)
 
 define ptr @{STUB}(ptr %self, ptr %argument) {{
     %result = alloca ptr
     %error = alloca ptr
     %status = call i32 @{FUNCTION}(ptr %result, ptr %error, ptr %self, ptr %argument)
+    %failed = icmp ne i32 %status, 0
+    br i1 %failed, label %raise, label %return
+raise:
+    call void @PyErr_BadInternalCall()
+    ret ptr null
+return:
     %object = load ptr, ptr %result
     ret ptr %object
 }}

@@ -9,6 +9,7 @@ import os
 import platform
 import threading
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -108,28 +109,33 @@ class Helper:
 
     def __init__(self) -> None:
         self._box = (ctypes.c_int64 * 5)(ASLEEP)
-        self._awake = threading.Semaphore(0)
+        self._asleep = threading.Lock()  # held as long as there is nothing to do
+        self._asleep.acquire()
         self._job: Bound | None = None
         threading.Thread(target=self._serve, name="mfc_gym", daemon=True).start()
 
     def _serve(self) -> None:
         _, serve, _ = _native()
         while True:
-            self._awake.acquire()
+            self._asleep.acquire()
             serve(ctypes.addressof(self._box), LOOKS)
+
+    def _wake(self) -> None:
+        with suppress(RuntimeError):  # of a lock that is not held: it has been woken
+            self._asleep.release()
 
     def start(self, job: Bound) -> None:
         """Begins a job; the helper must have none."""
         post, _, _ = _native()
         self._job = job
         if post(ctypes.addressof(self._box), job.address, job.arguments) == ASLEEP:
-            self._awake.release()
+            self._wake()
 
     def wait(self) -> int:
         """The status of the job, once it is done; of the one before, if it was not begun."""
         _, _, wait = _native()
         if self._box[0] == POSTED:
-            self._awake.release()  # once too often does no harm, once too seldom it would sleep on
+            self._wake()  # an interrupt may have come before
         status = int(wait(ctypes.addressof(self._box), LOOKS))
         self._job = None
         return status

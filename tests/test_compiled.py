@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
@@ -67,6 +68,11 @@ def divided(i, j):
 @entry("float64(int64)")
 def allocates(n):
     return np.ones(n).sum()
+
+
+@method(1)
+def quotient(memory, value):
+    return memory[0] / value, False, False
 
 
 @method(3)
@@ -152,6 +158,32 @@ def test_a_method_is_the_python_function(module: Any) -> None:
     np.testing.assert_array_equal(memory, other)
     with pytest.raises(TypeError, match="3"):
         module.step.bind(np.zeros(4))
+
+
+def test_an_error_in_a_method_is_raised(module: Any) -> None:
+    step = module.quotient.bind(np.array([1.0]))
+    assert step(4.0) == (0.25, False, False)
+    with pytest.raises(SystemError):
+        step(0.0)
+    assert step(2.0) == (0.5, False, False)
+
+
+def test_a_step_that_fails_is_an_error() -> None:
+    """dt^2 is 0: the differentiator divides by it."""
+    env = gym.make(
+        "mfc_gym/PerturbedChain-v0", dt=1e-170, horizon=1e-168, substeps=1, derivatives="ired", disable_env_checker=True
+    )
+    env.reset()
+    with pytest.raises(ArithmeticError, match="compiled step failed"):
+        env.step(np.array([0.5]))
+
+
+def test_a_cache_that_fails_later_costs_a_warning(module: Any, folder: Path) -> None:
+    path = folder / f"mfc_test_compiled.successor.{machine_code.key()}.o"
+    path.mkdir()
+    with pytest.warns(UserWarning, match="not kept"):
+        assert module.successor(1) == 2
+    assert not list(folder.glob("*.tmp"))
 
 
 def test_a_method_keeps_no_memory(module: Any) -> None:

@@ -75,8 +75,7 @@ def test_an_interrupt_waits_for_those_at_work(
     with monkeypatch.context() as patch:
         if where == "waking":
             turns = iter([interrupted])  # before it is awake, once
-            release = helpers[1]._awake.release
-            patch.setattr(helpers[1]._awake, "release", lambda: next(turns, release)())
+            patch.setattr(helpers[1], "_wake", lambda wake=helpers[1]._wake: next(turns, wake)())
         else:
             patch.setattr(type(jobs[0]), "__call__", interrupted)
         with pytest.raises(KeyboardInterrupt):
