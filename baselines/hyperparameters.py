@@ -88,7 +88,7 @@ HYPERPARAMETERS: dict[str, Hyperparameters] = {
         policy=FUSED | {"n_quantiles": 10},
     ),
     "crossq": Hyperparameters(
-        timesteps=320_000,
+        timesteps=1_024_000,
         segment=32_000,
         num_envs=64,
         learning_rate=7e-4,
