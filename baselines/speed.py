@@ -258,13 +258,14 @@ def memory() -> list[Row]:
 
 def experience(num_envs: int = 64) -> list[Row]:
     """Experience for PPO with a 64x64 policy: Stable-Baselines3 over DummyVecEnv, over the adapter, and what `train_rl` uses."""
+    from baselines import agents, collection  # first: they say which extra is missing
+
+    # isort: split
     import stable_baselines3
     import torch
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecEnv
-
-    from baselines import agents, collection
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -5,10 +5,12 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import pytest
 
-from scripts import evaluate_controller
+from scripts import benchmark, evaluate_controller
 
 ROOT = Path(__file__).parents[1]
 
@@ -70,3 +72,16 @@ def test_errors_are_one_sentence_and_write_nothing(arguments: tuple[str, ...], m
     assert message in result.stderr
     assert "Traceback" not in result.stderr
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_a_measurement_that_needs_an_extra_is_left_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing() -> list[Any]:
+        raise gym.error.DependencyNotInstalled("run `pip install [rl]`")
+
+    monkeypatch.setattr(benchmark, "MEASUREMENTS", {"sb3": missing, "exact": lambda: [("solution", 0.25, "s", 0.5)]})
+    benchmark.main(benchmark.Speed())
+    printed = capsys.readouterr().out
+    assert "left out: run `pip install [rl]`" in printed
+    assert "0.25" in printed
