@@ -93,11 +93,13 @@ def restore(name: str, source: str) -> ModuleType:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Complete or not at all, also when several processes write the same file."""
+    """Complete or not at all, also when several processes write the same file or the power fails."""
     file = tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False)  # noqa: SIM115
     try:
         with file:
             file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(file.name, path)
     except BaseException:
         os.unlink(file.name)
