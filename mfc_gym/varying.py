@@ -102,10 +102,13 @@ def _with_theta(
         origin=system,
     )
     u = Uncertainty(varied)
-    bounds = dict(system.bounds)
-    bounds["delta_3"] += bound_of(u, "delta_3", varied.Delta_3 - system.Delta_3)
-    bounds["sharp_3"] += sharp_bound_of(u, "sharp_3", varied.Delta_3 - system.Delta_3, bounds["delta_3"])
-    bounds["delta_1"] += bound_of(u, "delta_1", varied.Delta_1 - system.Delta_1)
-    bounds["delta_m"] += bound_of(u, "delta_m", varied.phi_m - system.phi_m)
-    bounds["sharp_1"] += sharp_bound_of(u, "sharp_1", varied.Delta_1 - system.Delta_1, bounds["delta_3"])
-    return replace(varied, bounds=bounds)
+    change_1, change_3 = varied.Delta_1 - system.Delta_1, varied.Delta_3 - system.Delta_3
+    more_3 = bound_of(u, "delta_3", change_3)
+    delta_3 = system.bounds["delta_3"] + more_3
+    more = {
+        "delta_1": bound_of(u, "delta_1", change_1),
+        "delta_m": bound_of(u, "delta_m", varied.phi_m - system.phi_m),
+        "sharp_1": sharp_bound_of(u, "sharp_1", change_1, delta_3),
+    }
+    kept = set(system.bounds) - ({"sharp_1", "sharp_3"} if more_3 else set())  # their denominator 1 + Delta_3 is another one
+    return replace(varied, bounds={k: system.bounds[k] + more.get(k, 0) for k in kept} | {"delta_3": delta_3})
