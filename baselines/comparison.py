@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines import evaluation
+from baselines import evaluation, task_id
 from baselines.metrics import evaluate
 from baselines.rollout import rollout
 from baselines.shifts import Shift
@@ -55,9 +55,7 @@ class Setting:
     """A task under a shift: a scalar environment that tells policies what they may know, and vector ones to play in."""
 
     def __init__(self, env: str, options: Mapping[str, Any], shift: Shift) -> None:
-        keywords: dict[str, Any] = dict(options)
-        if env.endswith(".toml"):
-            env, keywords = "mfc_gym/Plant-v0", {"system": env, **keywords}
+        env, keywords = task_id.named(env, options)
         base: Any = gym.make(env, **keywords)
         self.env, self.shift = env, shift
         self.applies = shift.applies(keywords, base.unwrapped.simulation)

@@ -35,14 +35,14 @@ class Controller(ABC):
         observation: Array,
         state: Array | None = None,
         episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+        deterministic: bool = False,
     ) -> tuple[Array, Array]:
         """(action, state), action = u / input_limit of shape (..., 1).
 
-        Raises ValueError for an observation that is not finite or does not fit the plant, and for a state that does not
-        fit the observation.
+        Deterministic in any case. Raises ValueError for an observation that is not finite or does not fit the plant, and for a
+        state or episode_start that does not fit the observation.
         """
-        observation = np.asarray(observation, dtype=float)
+        observation = numbers("observation", observation)
         n = self.nominal.order
         if (
             observation.ndim not in (1, 2)
@@ -59,6 +59,14 @@ class Controller(ABC):
         return (action[0], memory[0]) if observation.ndim == 1 else (action, memory)
 
 
+def numbers(name: str, value: object) -> Array:
+    """The array. Raises ValueError for what is none."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must be an array of numbers, got {value!r}.") from error
+
+
 def remembered(
     shape: tuple[int, int], state: Array | None, episode_start: NDArray[np.bool_] | None
 ) -> tuple[Array, NDArray[np.bool_]]:
@@ -68,10 +76,13 @@ def remembered(
     """
     fresh = np.full(shape[0], state is None)
     if episode_start is not None:
-        fresh |= np.broadcast_to(np.asarray(episode_start, dtype=bool).reshape(-1), fresh.shape)
+        starts = np.asarray(episode_start, dtype=bool).reshape(-1)
+        if starts.size not in (1, shape[0]):
+            raise ValueError(f"`episode_start` must be one for each of {shape[0]} observations, got {starts.size}.")
+        fresh |= starts
     memory = np.zeros(shape)
     if state is not None:
-        given = np.atleast_2d(np.asarray(state, dtype=float))
+        given = np.atleast_2d(numbers("state", state))
         if given.shape != shape:
             raise ValueError(f"`state` must be what `predict` returned, of shape {shape}, got {given.shape}.")
         memory[:] = given

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from baselines import registry
+from baselines import imported, registry
 from baselines.exact_metrics import total_variation
 from baselines.files import replace
 from baselines.filippov import filippov
@@ -22,6 +23,7 @@ from baselines.rollout import rollout
 from baselines.trajectory import Trajectory
 
 ALGORITHMS = ("ppo", "sac", "td3", "tqc", "crossq")
+OWN = re.compile(r"([\w.]+:\w+)(?=:|$)")  # a factory in a module, before its options
 EXTRA = {"variation_ratio": "1", "step_time": "us"}  # metrics that need more than the trajectory
 
 
@@ -45,16 +47,21 @@ class Result:
 
 
 def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
-    """The policy of a specification: `controller`, `controller:option=value,...`, or `algorithm:folder` for a trained agent.
+    """The policy of a specification: `controller`, `controller:option=value,...`, `algorithm:folder` for a trained agent, or
+    `module:factory` (then `module:factory:option=value,...`) for one of your own, `factory(nominal, **options)`.
 
     Raises ValueError with the known names, for options the controller does not take, or an agent file that is not sound.
     """
     name, _, rest = specification.partition(":")
     if name in ALGORITHMS:
         return _agent(specification, name, rest, env)
-    name, options = parse(specification)
-    controller = registry.make(name, env, **options)
-    return Entry(specification, controller, controller.reads, options)
+    own = None if name in registry.CONTROLLERS else OWN.match(specification)
+    name, options = parse(specification[own.end() :] if own else specification)
+    if own:
+        policy = registry.call(own[1], imported.attribute(own[1]), env.unwrapped.nominal, options)  # type: ignore[attr-defined]
+    else:
+        policy = registry.make(name, env, **options)
+    return Entry(specification, policy, tuple(getattr(policy, "reads", ("observation",))), options)
 
 
 def parse(specification: str) -> tuple[str, dict[str, Any]]:

@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 from baselines import closed_loop
 from baselines.controller import Controller
 from baselines.redesign import LyapunovRedesign
+from baselines.rollout import require_limit
 from mfc_gym import observation as layout
 
 Array = NDArray[np.float64]
@@ -186,15 +187,20 @@ def filippov(
 ) -> ExactSolution:
     """Solve the closed loop of the environment's plant and the controller's continuous-time law over the horizon.
 
-    The episode is the one `env.reset(seed=seed, options=options)` gives. Raises TypeError for a controller without such a law
-    and RuntimeError if the solver fails or the modes change more than 10^4 times.
+    The episode is the one `env.reset(seed=seed, options=options)` gives. Raises TypeError for a controller without such a law,
+    ValueError for an environment it is not made for, or a vector one, and RuntimeError if the solver fails or the modes change
+    more than 10^4 times.
     """
     if not isinstance(controller, LyapunovRedesign):
         raise TypeError(f"`controller` must be of the redesign family, got {type(controller).__name__}.")
-    if controller.nominal.kernel is not env.unwrapped.nominal.kernel:
+    if hasattr(env, "num_envs"):
+        raise ValueError(f"`env` must be a scalar environment for the exact solution, got {env}.")
+    nominal = env.unwrapped.nominal
+    if controller.nominal.kernel is not nominal.kernel:
         raise ValueError(
             f"`controller` must be made for this environment's plant, got one for {controller.nominal.name!r}."
         )
+    require_limit(controller, nominal.input_limit)
     if env.unwrapped.simulation.driving.moves:
         raise ValueError(
             "`env` must have constant theta and an ideal actuator for the exact solution, got some that move."

@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -19,20 +20,28 @@ def brunovsky(n: int) -> tuple[Array, Array]:
     return np.eye(n, k=1), np.eye(n)[-1]
 
 
-def place(poles: Sequence[complex]) -> Array:
+def place(poles: Sequence[complex], name: str = "poles") -> Array:
     """Gains k with eig(A - B k') = poles, shape (n,). Raises ValueError unless they are stable and closed under conjugation."""
-    given = np.asarray(poles, dtype=complex)
+    given = _array(poles, complex)
     if given.ndim != 1 or not given.size or not np.isfinite(given).all() or not (given.real < 0).all():
-        raise ValueError(f"`poles` must be numbers with negative real part, got {poles!r}.")
+        raise ValueError(f"`{name}` must be a list of numbers with negative real part, got {poles!r}.")
     k = np.poly(given)[:0:-1]
     if np.abs(np.imag(k)).max() > 1e-9 * np.abs(k).max():
-        raise ValueError(f"`poles` must be closed under conjugation, got {poles!r}.")
+        raise ValueError(f"`{name}` must be closed under conjugation, got {poles!r}.")
     return np.real(k)
+
+
+def _array(given: Any, kind: type) -> NDArray[Any]:
+    """Numbers of this kind; a NaN for what are none."""
+    try:
+        return np.asarray(given, dtype=kind)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
 
 
 def hurwitz(name: str, k: Sequence[float], n: int) -> Array:
     """The gains k, shape (n,), checked: A - B k' must be Hurwitz. Raises ValueError naming `name` and the poles."""
-    gains = np.asarray(k, dtype=float)
+    gains = _array(k, float)
     if gains.shape != (n,) or not np.isfinite(gains).all():
         raise ValueError(f"`{name}` must be {n} finite gains, got {k!r}.")
     poles = np.roots([1.0, *gains[::-1]])
@@ -106,12 +115,13 @@ def from_surface(k: Array, c: Array | None = None) -> Array:
 
 def positive_definite(name: str, P: Array, n: int) -> Array:
     """P checked: symmetric, positive definite, shape (n, n). Raises ValueError naming `name`."""
-    P = np.asarray(P, dtype=float)
-    if P.shape != (n, n) or not np.isfinite(P).all() or not np.allclose(P, P.T, atol=1e-9 * np.abs(P).max()):
-        raise ValueError(f"`{name}` must be a symmetric matrix of shape ({n}, {n}), got {P.tolist()}.")
-    if (smallest := np.linalg.eigvalsh(P)[0]) <= 0:
+    found = _array(P, float)
+    symmetric = found.shape == (n, n) and np.allclose(found, found.T, atol=1e-9 * np.abs(found).max())
+    if not symmetric or not np.isfinite(found).all():
+        raise ValueError(f"`{name}` must be a symmetric matrix of shape ({n}, {n}), got {P}.")
+    if (smallest := np.linalg.eigvalsh(found)[0]) <= 0:
         raise ValueError(f"`{name}` must be positive definite, got smallest eigenvalue {smallest:g}.")
-    return P
+    return found
 
 
 def dissipation(P: Array, k: Array) -> Array:

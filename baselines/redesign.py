@@ -4,7 +4,6 @@
     to compensate unmatched uncertainties.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +20,7 @@ from baselines.gains import GAINS
 from baselines.model_loop import hermite_matrix
 from baselines.switching import SWITCHINGS
 from mfc_gym import observation as layout
+from mfc_gym.checks import one_of, positive
 from mfc_gym.nominal import NominalModel
 
 Array = NDArray[np.float64]
@@ -164,13 +164,13 @@ def redesign(
     time, at least 2 dt. Raises ValueError for options that cannot work or contradict each other.
     """
     n = nominal.order
-    _one_of("design", design, MODEL_POLE)
+    one_of("design", design, MODEL_POLE)
     k_gains = _gains("k", k, "model_poles", model_poles, MODEL_POLE[design] * nominal.model_pole, n)
     k_tilde_gains = _gains("k_tilde", k_tilde, "poles", poles, nominal.process_pole, n)
-    _one_of("gain", gain, GAINS)
-    _one_of("switching", switching, SWITCHINGS)
-    _one_of("model", model, MODELS)
-    _one_of("feedback", feedback, FEEDBACKS)
+    one_of("gain", gain, GAINS)
+    one_of("switching", switching, SWITCHINGS)
+    one_of("model", model, MODELS)
+    one_of("feedback", feedback, FEEDBACKS)
     if sliding_poles is not None and (design == "paper" or P is not None):
         raise ValueError(f"`sliding_poles` must come with design = 'surface' and without P, got {sliding_poles}.")
     if P is not None:
@@ -180,22 +180,19 @@ def redesign(
     else:
         P = _surface_design(k_tilde_gains, sliding_poles)
     lyapunov.positive_definite("dissipation of P", lyapunov.dissipation(P, k_tilde_gains), n)
-    if delta_1 is not None and not (math.isfinite(delta_1) and delta_1 >= 0):
-        raise ValueError(f"`delta_1` must be finite and >= 0, got {delta_1}.")
-    if delta_3 is not None and not 0 <= delta_3 < 1:
+    if delta_1 is not None:
+        positive("delta_1", delta_1, or_zero=True)
+    if delta_3 is not None and positive("delta_3", delta_3, or_zero=True) >= 1:
         raise ValueError(f"`delta_3` must lie in [0, 1), got {delta_3}.")
-    margin = GAINS[gain].margin if margin is None else margin
-    for option, value in (("margin", margin), ("width", width)):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"`{option}` must be positive and finite, got {value}.")
-    if rate is not None and not 0 < rate <= 1:
+    margin = positive("margin", GAINS[gain].margin if margin is None else margin)
+    positive("width", width)
+    if rate is not None and positive("rate", rate) > 1:
         raise ValueError(f"`rate` must lie in (0, 1], got {rate}.")
     if reach_time is None:
         exact = nominal.derivatives == "exact" or feedback == "state"
         slow = 1.2 if nominal.noise else 0.2
         reach_time = 0.0 if exact else max(2.0 * nominal.dt, slow / nominal.process_pole)
-    if not (math.isfinite(reach_time) and reach_time >= 0):
-        raise ValueError(f"`reach_time` must be finite and >= 0, got {reach_time}.")
+    positive("reach_time", reach_time, or_zero=True)
     return LyapunovRedesign(
         name, nominal, k_gains, k_tilde_gains, P, gain, switching, model, feedback,
         _start(initial_model_state, n), margin, width, rate, reach_time, delta_1, delta_3,
@@ -206,7 +203,7 @@ def _surface_design(k_tilde: Array, sliding_poles: Sequence[complex] | None) -> 
     """P of the "surface" design: closed form for equal poles, else from the positive real lemma."""
     n = len(k_tilde)
     if sliding_poles is not None:
-        c = np.append(lyapunov.place(sliding_poles), 1.0)
+        c = np.append(lyapunov.place(sliding_poles, "sliding_poles"), 1.0)
         if len(c) != n:
             raise ValueError(f"`sliding_poles` must be {n - 1} poles, got {sliding_poles}.")
         return lyapunov.from_surface(k_tilde, c)
@@ -223,7 +220,7 @@ def _gains(
         raise ValueError(f"`{name}` and `{poles_name}` must not be given together, got {gains} and {poles}.")
     if gains is not None:
         return lyapunov.hurwitz(name, gains, n)
-    placed = lyapunov.place([-default] * n if poles is None else poles)
+    placed = lyapunov.place([-default] * n if poles is None else poles, poles_name)
     if placed.shape != (n,):
         raise ValueError(f"`{poles_name}` must be {n} poles, got {poles}.")
     return placed
@@ -231,14 +228,12 @@ def _gains(
 
 def _start(given: str | Sequence[float], n: int) -> str | tuple[float, ...]:
     if isinstance(given, str):
-        _one_of("initial_model_state", given, STARTS)
+        one_of("initial_model_state", given, STARTS)
         return given
-    start = np.asarray(given, dtype=float)
+    try:
+        start = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        start = np.array(np.nan)
     if start.shape != (n,) or not np.isfinite(start).all():
         raise ValueError(f"`initial_model_state` must be {n} finite numbers, 'process' or 'reference', got {given!r}.")
     return tuple(map(float, start))
-
-
-def _one_of(name: str, value: object, known: Any) -> None:
-    if value not in known:
-        raise ValueError(f"`{name}` must be one of {sorted(known)}, got {value!r}.")

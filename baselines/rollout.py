@@ -10,6 +10,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
 
 from baselines import rollout_kernel
+from baselines.controller import Controller
 from baselines.redesign import LyapunovRedesign
 from baselines.trajectory import Trajectory
 from mfc_gym import observation as layout
@@ -25,11 +26,21 @@ def rollout(
     """Run `policy` (anything with Stable-Baselines3's `predict`) for one episode of `env`.
 
     A vector environment gives a batch, one more axis after time; what follows an episode's end is NaN there. A controller of
-    the redesign family in an environment without further wrappers runs as one compiled loop, with the same numbers.
+    the redesign family in an environment without further wrappers runs as one compiled loop, with the same numbers. Raises
+    ValueError for an environment of another kind, and for a controller made for another bound of the input.
     """
+    nominal = getattr(env.unwrapped, "nominal", None)
+    if not isinstance(nominal, NominalModel):
+        raise ValueError(
+            "`env` must be an environment of mfc_gym, or a vector of them made with vectorization_mode='vector_entry_point', "
+            f"got {env}."
+        )
+    if isinstance(policy, Controller):
+        require_limit(policy, nominal.input_limit)
     observation, _ = env.reset(seed=seed, options=options)
     batch = hasattr(env, "num_envs")
-    if compiled and isinstance(policy, LyapunovRedesign) and _plain(env) and _made_for(policy, env.unwrapped.nominal):
+    fits = isinstance(policy, LyapunovRedesign) and policy.nominal.order == nominal.order  # else `predict` says so
+    if compiled and fits and _plain(env):
         found = _compiled(env.unwrapped, policy, np.atleast_2d(observation))
     else:
         found = _stepwise(env, policy, observation, batch)
@@ -48,16 +59,19 @@ def rollout(
     )
 
 
+def require_limit(controller: Controller, limit: float) -> None:
+    """Raises ValueError if the controller's actions mean another input here."""
+    if controller.nominal.input_limit != limit:
+        raise ValueError(
+            f"`controller` must be made for this environment's input_limit {limit}, got one for {controller.nominal.input_limit}."
+        )
+
+
 def _plain(env: Any) -> bool:
     """Whether nothing between the environment and the policy changes what they exchange."""
     while isinstance(env, (OrderEnforcing, PassiveEnvChecker)):
         env = env.env
     return env is env.unwrapped and hasattr(env, "rows")
-
-
-def _made_for(controller: LyapunovRedesign, nominal: NominalModel) -> bool:
-    """Whether the observations fit the controller and its inputs the environment, as `predict` would find out."""
-    return controller.nominal.order == nominal.order and controller.nominal.input_limit == nominal.input_limit
 
 
 def _compiled(env: Any, controller: LyapunovRedesign, first: Array) -> Batch:
@@ -114,8 +128,7 @@ def _stepwise(env: Any, policy: Any, observation: Array, batch: bool) -> Batch:
         rewards.append(np.where(running, np.asarray(reward), np.nan))
         terminated_at_all |= running & terminated
         ended = np.asarray(terminated) | np.asarray(truncated)
-        measured = layout.output_derivatives(reached)[:, 0]  # where the next episode has begun the true y is gone
-        true = np.where(ended & same_step, measured, env.unwrapped.output)
+        true = np.where(ended, env.unwrapped.final_output, env.unwrapped.output) if same_step else env.unwrapped.output
         outputs.append(np.where(running, true, np.nan))
         running = running & ~ended
         if ended.any() and running.any() and env.metadata.get("autoreset_mode") == AutoresetMode.DISABLED:

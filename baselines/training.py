@@ -129,7 +129,8 @@ class Training:
             "reference": self.evaluation.reference,
             **provenance(),
         }
-        environment = {"id": self.plan.env, "options": dict(self.plan.options)}
+        options = {k: Path(v).name if k == "system" else v for k, v in self.plan.options.items()}
+        environment = {"id": self.plan.env, "options": options}
         return agent_of(self.model, self.features, environment, training, self.interface)
 
     def save(self, out: Path) -> None:

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 def one_of(name: str, value: object, known: Iterable[str]) -> None:
     if value not in tuple(known):
-        raise ValueError(f"`{name}` must be one of {sorted(known)}, got {value!r}.")
+        raise ValueError(f"`{name}` must be one of {sorted(map(str, known))}, got {value!r}.")
 
 
 def positive(name: str, value: float, or_zero: bool = False) -> float:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property, partial
+from inspect import signature
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -105,9 +106,17 @@ def build_system(name: str, options: Mapping[str, Any]) -> "FlatSystem":
     if not callable(make):
         raise ValueError(f"`system` must name a function of the module {module}, got {name!r}.")
     try:
+        signature(make).bind(**options)
+    except TypeError as error:
+        known = ", ".join(signature(make).parameters) or "none"
+        raise ValueError(
+            f"neither the environment (options: help(mfc_gym.settings.Settings)) nor its system {name!r} (options: {known}) "
+            f"takes what is given: {error}."
+        ) from error
+    try:
         system: FlatSystem = make(**options)
     except TypeError as error:
-        raise ValueError(f"system {name!r} does not take these options: {error}.") from error
+        raise ValueError(f"options of system {name!r} must fit it, got {options}: {error}.") from error
     return system
 
 
@@ -170,6 +179,6 @@ def _module_file(name: str) -> Path:
         spec = importlib.util.find_spec(module)
     except (ImportError, ValueError):
         spec = None
-    if spec is None or spec.origin is None:
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         raise ValueError(f"`system` must name an importable module, got {name!r}.")
     return Path(spec.origin)

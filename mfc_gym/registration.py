@@ -35,11 +35,14 @@ def register_system(name: str, system: "FlatSystem") -> str:
 
     from mfc_gym import plant
     from mfc_gym.enclosure import check_bounds, check_domain, derive_bounds
+    from mfc_gym.flat_system import FlatSystem
 
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise ValueError(f"`name` must be a letter followed by letters, digits or _, got {name!r}.")
     if name in systems.SYSTEMS or name == "Plant":
         raise ValueError(f"`name` must not be that of a plant of the library, got {name!r}.")
+    if not isinstance(system, FlatSystem):
+        raise ValueError(f"`system` must be a mfc_gym.flat_system.FlatSystem, got {system!r}.")
     check_domain(system)
     check_bounds(system)
     complete = replace(system, bounds=derive_bounds(system))

@@ -89,7 +89,7 @@ class Sensors:
             raise ValueError(f"`dropout` of the sensors must lie in [0, 1), got {sensors.dropout!r}.")
         if isinstance(sensors.delay, bool) or not isinstance(sensors.delay, int) or not 0 <= sensors.delay <= 1000:
             raise ValueError(f"`delay` of the sensors must be an integer from 0 to 1000, got {sensors.delay!r}.")
-        if sensors.distribution not in DISTRIBUTIONS:
+        if sensors.distribution not in tuple(DISTRIBUTIONS):
             raise ValueError(
                 f"`distribution` of the sensors must be one of {sorted(DISTRIBUTIONS)}, got {sensors.distribution!r}."
             )

@@ -22,6 +22,7 @@ Indices = Sequence[int] | NDArray[np.intp]
 RESET_OPTIONS = ("initial_state", "theta", "reference_parameters", "initial_estimate")
 TABULATED = 20_000  # samples of the reference that are kept, at most
 RANGE = 0.999  # of the observation space: what the sensors can read
+MOST_SUBSTEPS = 1_000_000
 DRAWS = 10_000  # attempts to draw an admissible theta
 
 
@@ -70,16 +71,18 @@ class Simulation:
         memory = np.full(sensing.sensor_memory(self.plant.order, self.sensors), np.nan)
         moving = np.zeros(self.driving.memory)
         self._start = np.concatenate([self.initial_state, self.theta, rest, parameters, memory, moving, [0.0]])
-        self._check(self._start[None])
+        self._check_state(self._start[None])
+        if self.scenario != "random" or given.theta is not None:
+            self._check_theta(self._start[None])
         self._drawn = self._sets(given)
         if given.substeps is None:
             tolerance = positive("tolerance", given.tolerance)
             count = choose_substeps(self.plant, self.parameter_set, self.dt, self.input_limit, tolerance)
             self.substeps = max(count, self.driving.substeps(self.dt))
-        elif isinstance(given.substeps, int) and not isinstance(given.substeps, bool) and given.substeps >= 1:
+        elif type(given.substeps) is int and 1 <= given.substeps <= MOST_SUBSTEPS:
             self.substeps = given.substeps
         else:
-            raise ValueError(f"`substeps` must be an integer >= 1, got {given.substeps!r}.")
+            raise ValueError(f"`substeps` must be an integer from 1 to {MOST_SUBSTEPS}, got {given.substeps!r}.")
         clock = [self.dt, self.substeps, self.input_limit, self.steps, cost_max, effort]
         if self.sensors is not None:
             space, measured = self.observation_space, slice(2 * self.plant.order)
@@ -206,7 +209,8 @@ class Simulation:
         for columns, values in given:
             rows[:, columns] = values
         if given:
-            self._check(rows, chosen)
+            self._check_state(rows, chosen)
+            self._check_theta(rows, chosen)
         if self.driving.moves:
             self.kernel.start_all(rows, self.settings)
         return rows
@@ -270,7 +274,7 @@ class Simulation:
         parameters = mapping("reference_parameters", options.get("reference_parameters"))
         each = {name: np.asarray(v) for name, v in parameters.items() if num_envs is not None and np.ndim(v)}
         for name, values in each.items():
-            if values.shape != (num_envs,):
+            if values.shape != (num_envs,) or values.dtype.kind not in "iuf":
                 raise ValueError(
                     f"`{name}` of the reference must be one number or {num_envs}, got {parameters[name]!r}."
                 )
@@ -304,7 +308,7 @@ class Simulation:
         columns, low, high = np.array(drawn).reshape(-1, 3).T.copy()
         return attempts, self.beyond, *self.theta_set, columns.astype(np.intp), low, high
 
-    def _check(self, rows: Array, chosen: Indices = (0,)) -> None:
+    def _check_state(self, rows: Array, chosen: Indices = (0,)) -> None:
         n = self.plant.order
         where = [""] if len(rows) == 1 else [f" in environment {i}" for i in chosen]
         x = rows[:, :n]
@@ -312,7 +316,6 @@ class Simulation:
             raise ValueError(
                 f"`initial_state` must lie in the operating region {self.low} to {self.high}, got {x[i]}{where[i]}."
             )
-        self._check_theta(rows, chosen)
 
     def _check_theta(self, rows: Array, chosen: Indices = (0,)) -> None:
         where = [""] if len(rows) == 1 else [f" in environment {i}" for i in chosen]

@@ -110,5 +110,7 @@ def _with_theta(
         "delta_m": bound_of(u, "delta_m", varied.phi_m - system.phi_m),
         "sharp_1": sharp_bound_of(u, "sharp_1", change_1, delta_3),
     }
-    kept = set(system.bounds) - ({"sharp_1", "sharp_3"} if more_3 else set())  # their denominator 1 + Delta_3 is another one
+    kept = set(system.bounds) - (
+        {"sharp_1", "sharp_3"} if more_3 else set()
+    )  # their denominator 1 + Delta_3 is another one
     return replace(varied, bounds={k: system.bounds[k] + more.get(k, 0) for k in kept} | {"delta_3": delta_3})

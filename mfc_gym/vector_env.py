@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mfc_gym import team
+from mfc_gym.checks import one_of
 from mfc_gym.compiled import Bound, bind_all
 from mfc_gym.nominal import NominalModel
 from mfc_gym.simulation import Simulation
@@ -50,10 +51,11 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self.num_envs = _count("num_envs", num_envs)
         if render_mode is not None:
             raise ValueError(f"`render_mode` must be None, a vector environment draws nothing, got {render_mode!r}.")
+        one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.simulation = Simulation.from_keywords(options)
-        if max_episode_steps is not None and max_episode_steps < self.simulation.steps:
+        if max_episode_steps is not None and _count("max_episode_steps", max_episode_steps) < self.simulation.steps:
             raise ValueError(
                 f"`max_episode_steps` must be at least horizon / dt = {self.simulation.steps}, got {max_episode_steps}: "
                 "the environment owns its clock, set `horizon`."
@@ -68,6 +70,10 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._actions, self._actions_shape = np.empty(num_envs), (num_envs, 1)
         self._running = np.ones(num_envs, dtype=bool)
         self._waiting = np.arange(0)  # where the episode has ended and the next one has not begun
+        self._final = (
+            np.arange(0),
+            np.empty((0, self.simulation.row_size)),
+        )  # where the next began at once: the rows before
         self._begun = False  # whether every environment has been reset
         if threads is None:
             work = num_envs * (self.simulation.substeps + 4)
@@ -96,6 +102,14 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def output(self) -> Array:
         """The true y = h(x) now, shape (num_envs,)."""
         return self.simulation.outputs(self.rows)
+
+    @property
+    def final_output(self) -> Array:
+        """The true y with which the last episodes to end under SAME_STEP ended, shape (num_envs,), NaN for the others."""
+        chosen, rows = self._final
+        final = np.full(self.num_envs, np.nan)
+        final[chosen] = self.simulation.outputs(rows)
+        return final
 
     @property
     def theta(self) -> Array:
@@ -157,6 +171,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             np.logical_not(ended, out=self._running)
             self._waiting = chosen
         elif chosen.size:
+            self._final = chosen, np.ascontiguousarray(self._columns[:, chosen].T)
             self._begin(chosen, None)
             self._observe(ended, observations)
         return observations, rewards, terminated, truncated, info

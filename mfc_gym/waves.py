@@ -7,7 +7,7 @@ what is random.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import cos, isfinite, pi, sin, sqrt
+from math import cos, pi, sin, sqrt
 from numbers import Real
 from typing import Any
 
@@ -20,6 +20,7 @@ from mfc_gym.sensors import random
 Array = NDArray[np.float64]
 COMPONENTS = 8  # of the noise
 CHANNEL = 1_000_000  # of its random numbers, far from those of the sensors
+LARGEST = 1e12  # parameter: its powers bound the derivatives
 EARLY = 1e-9  # of dt: a jump at a sample is not missed for a rounding error
 
 
@@ -93,8 +94,8 @@ class Wave:
                 f"`wave` must have parameters among {sorted(self.defaults)}, got {sorted(map(str, unknown))}."
             )
         for name, value in given.items():
-            if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
-                raise ValueError(f"`{name}` of a wave must be a finite number, got {value!r}.")
+            if isinstance(value, bool) or not isinstance(value, Real) or not abs(value) <= LARGEST:
+                raise ValueError(f"`{name}` of a wave must be a number of at most {LARGEST:g}, got {value!r}.")
         if not given.get("duration", 1.0) > 0:
             raise ValueError(f"`duration` of a wave must be positive, got {given['duration']}.")
         return {**self.defaults, **{name: float(value) for name, value in given.items()}}
@@ -133,7 +134,7 @@ WAVES: dict[str, Wave] = {
 
 def of(option: str, name: str, given: Any) -> tuple[str, dict[str, float]]:
     """(family, parameters) of {"wave": family, parameter: value, ...}. Raises ValueError naming the option and what is wrong."""
-    if not isinstance(given, Mapping) or given.get("wave") not in WAVES:
+    if not isinstance(given, Mapping) or given.get("wave") not in tuple(WAVES):
         raise ValueError(f'`{option}` of {name} must be a dict with "wave" one of {sorted(WAVES)}, got {given!r}.')
     family = str(given["wave"])
     try:

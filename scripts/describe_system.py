@@ -18,7 +18,7 @@ from rich.text import Text
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, lyapunov
+from baselines import command_line, lyapunov, task_id
 from mfc_gym.enclosure import check_bounds
 from mfc_gym.flat_system import FlatSystem
 
@@ -93,10 +93,7 @@ def main(args: Arguments) -> None:
     """Print the description. Raises ValueError for a plant that breaks an assumption."""
     names = ("order", "unmatchedness")
     options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
-    if args.system.endswith(".toml"):
-        env = gym.make("mfc_gym/Plant-v0", system=args.system, **options)
-    else:
-        env = gym.make(args.system, **options)
+    env = task_id.make(args.system, options)
     system: FlatSystem = env.unwrapped.simulation.plant.system  # type: ignore[attr-defined]
     table = Table(title=f"{system.name}, order {system.order}", show_header=False)
     for name, value in [*rows(system), *designs(env)]:

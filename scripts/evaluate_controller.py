@@ -19,7 +19,7 @@ from rich.table import Table
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, evaluation, figures, files, statistics
+from baselines import command_line, evaluation, figures, files, statistics, task_id
 from baselines.provenance import provenance
 
 COLUMNS = (
@@ -105,9 +105,7 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
         options["actuator"] = evaluation.parse(f"actuator:{args.actuator}")[1]
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
-    if args.env.endswith(".toml"):
-        return gym.make("mfc_gym/Plant-v0", system=args.env, **options)
-    return gym.make(args.env, **options)
+    return task_id.make(args.env, options)
 
 
 def table(results: list[evaluation.Result], title: str) -> Table:

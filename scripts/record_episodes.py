@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, evaluation
+from baselines import command_line, evaluation, task_id
 
 try:
     from baselines import demonstrations
@@ -61,7 +61,7 @@ def main(args: Arguments) -> None:
     options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
-    env, console = gym.make(args.env, **options), Console(soft_wrap=True)
+    env, console = task_id.make(args.env, options), Console(soft_wrap=True)
     entry = evaluation.entry(args.policy, env)
     folder = None if args.out is None else evaluation.writable(args.out).resolve()
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())

@@ -147,6 +147,12 @@ def test_errors(make: Make, options: dict[str, Any], message: str) -> None:
         make(**options)
 
 
+def test_a_theta_that_is_drawn_need_not_be_the_usual_one() -> None:
+    """The chain's usual theta lies on the edge of what is admissible, where nothing may move outwards."""
+    env = gym.make(CHAIN, scenario="random", schedule={"alpha1": SINE})
+    assert env.reset(seed=0)[0].size == 10
+
+
 def test_the_default_actuator_is_ideal() -> None:
     assert Actuator.of({}) == Actuator.of(None) == Actuator()
 

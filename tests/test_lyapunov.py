@@ -289,7 +289,7 @@ def test_dissipation_of_a_large_design_stays_symmetric() -> None:
 
 @pytest.mark.parametrize("poles", [[], [0.0, -1.0], [-1.0, 1.0], [-1.0, np.nan], -1.0, [[-1.0]]])
 def test_poles_that_are_no_stable_numbers(poles: Any) -> None:
-    with pytest.raises(ValueError, match="`poles` must be numbers with negative real part, got"):
+    with pytest.raises(ValueError, match="`poles` must be a list of numbers with negative real part, got"):
         lyapunov.place(poles)
 
 

@@ -155,10 +155,21 @@ def test_controller_of_another_plant() -> None:
 
 
 def test_controller_with_another_input_limit() -> None:
-    """Its actions are fractions of its own limit: the same numbers, compiled or not."""
+    """Its actions are fractions of its own limit: they would be another input."""
     controller = baselines.make("mfc", gym.make(CHAIN, input_limit=20.0, substeps=1))
     env = gym.make(CHAIN, horizon=0.2)
-    assert_equal(baselines.rollout(env, controller), baselines.rollout(env, controller, compiled=False))
+    for run in (baselines.rollout, baselines.filippov):
+        with pytest.raises(
+            ValueError, match="`controller` must be made for this environment's input_limit 50.0, got one for 20"
+        ):
+            run(env, controller)
+
+
+def test_environments_without_a_nominal_model() -> None:
+    controller = baselines.make("mfc", gym.make(CHAIN, substeps=1))
+    for env in (gym.make("CartPole-v1"), gym.make_vec(CHAIN, 2, vectorization_mode="sync")):
+        with pytest.raises(ValueError, match="`env` must be an environment of mfc_gym"):
+            baselines.rollout(env, controller)
 
 
 # -- batches ----------------------------------------------------------------------------------------------------------------
@@ -166,14 +177,18 @@ def test_controller_with_another_input_limit() -> None:
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED]
 
 
+MEASURED: dict[str, Any] = {"derivatives": "ired", "sensors": {"noise": 0.03, "delay": 1, "dropout": 0.2}}
+
+
 @pytest.mark.parametrize("mode", MODES)
-def test_batch_is_the_scalar_episodes(mode: AutoresetMode) -> None:
+@pytest.mark.parametrize("measured", [{}, MEASURED])
+def test_batch_is_the_scalar_episodes(mode: AutoresetMode, measured: dict[str, Any]) -> None:
     """Environment i of a batch seeded s has the episode of a scalar environment seeded s + i, bit by bit."""
     envs = gym.make_vec(
         CHAIN, num_envs=3, vectorization_mode="vector_entry_point",
-        autoreset_mode=mode, scenario="random", horizon=0.3,
+        autoreset_mode=mode, scenario="random", horizon=0.3, **measured,
     )  # fmt: skip
-    env = gym.make(CHAIN, scenario="random", horizon=0.3)
+    env = gym.make(CHAIN, scenario="random", horizon=0.3, **measured)
     controller = baselines.make("mfc", env)
     scalar = [baselines.rollout(env, controller, seed=7 + i) for i in range(3)]
     for compiled in (True, False):

@@ -58,6 +58,10 @@ def test_evaluation_is_reproducible_and_order_free(tmp_path: Path) -> None:
         (("mfc:colour=3",), "does not take these options"),
         (("mfc", "--scenario", "wild"), "`scenario` must be one of"),
         (("mfc", "--env", "mfc_gym/Nothing-v0"), "Nothing"),
+        (("mfc", "--env", "Pendulum-v1"), "`env` must be an environment of mfc_gym"),
+        (("mfc", "--env", "no_module:Some-v0"), "`no_module` must be a module"),
+        (("math:sin:pole=1",), "controller 'math:sin' does not take these options"),
+        (("math:sine",), "which has no 'sine'"),
         (("mfc", "--dt", "-1"), "`dt` must be positive"),
         (("mfc", "--episodes", "0"), "`episodes` must be at least 1"),
         (("mfc", "--theta", "0.9", "0.9"), "`theta` must keep"),
@@ -72,6 +76,36 @@ def test_errors_are_one_sentence_and_write_nothing(arguments: tuple[str, ...], m
     assert message in result.stderr
     assert "Traceback" not in result.stderr
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+OWN = """
+from baselines.controller import Controller
+
+class Zero(Controller):
+    name, memory_size = "zero", 0
+
+    def __init__(self, nominal, level=0.0):
+        self.nominal, self.level = nominal, level
+
+    def control(self, observations, memory, fresh):
+        return 0.0 * observations[:, 0] + self.level
+"""
+
+
+def test_a_controller_and_a_plant_of_your_own(tmp_path: Path) -> None:
+    """Found in the working directory, by the module that defines or registers them."""
+    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "plants.py").write_text(
+        "from dataclasses import replace\n\nimport mfc_gym\nfrom mfc_gym.plant import build_system\n\n"
+        "mfc_gym.register_system('Mine', replace(build_system('Duffing', {}), name='Mine'))\n"
+    )
+    command = [sys.executable, str(ROOT / "scripts" / "evaluate_controller.py"), "own:Zero", "own:Zero:level=0.5"]
+    more = ["--env", "plants:mfc_gym/Mine-v0", "--horizon", "1", "--out", "out"]
+    result = subprocess.run([*command, *more], capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    found = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert [one["controller"] for one in found] == ["own:Zero", "own:Zero:level=0.5"]
+    assert [one["episodes"][0]["peak"] for one in found] == [0.0, 0.5]
 
 
 def test_a_measurement_that_needs_an_extra_is_left_out(

@@ -108,3 +108,12 @@ def test_disturbances_enter_the_derivatives() -> None:
 def test_errors(vary: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         vary(plant("PerturbedChain"))
+
+
+def test_a_plant_that_declares_no_sharp_bounds_can_be_varied() -> None:
+    """They follow from delta_1 and delta_3 of the varied plant."""
+    system = build_system("Rossler", {})
+    assert "sharp_3" not in system.bounds
+    for varied in (disturbed(system, "u", [0.1, 0.2, 0.4]), moving(system, "eps_a", [0.1, 0.2])):
+        assert set(varied.bounds) == set(system.bounds)
+        check_bounds(varied)
