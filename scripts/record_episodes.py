@@ -31,7 +31,7 @@ class Arguments:
     policy: Annotated[str, tyro.conf.Positional]
     """A controller with its options as in evaluate_controller, or an agent as algorithm:folder"""
     env: str = "mfc_gym/PerturbedChain-v0"
-    """Environment id"""
+    """Environment id, or a plant file ending in .toml"""
     dataset: str = "mfc_gym/chain/mfc-v0"
     """Id of the dataset"""
     scenario: str = "random"

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line
+from baselines import command_line, task_id
 from baselines.evaluation import parse, writable
 from baselines.hyperparameters import HYPERPARAMETERS, hyperparameters
 from baselines.residual import Base
@@ -38,7 +38,7 @@ class Arguments:
     algorithm: Annotated[str, tyro.conf.Positional]
     """Name of the algorithm: ppo, sac, td3, tqc or crossq"""
     env: str = "mfc_gym/PerturbedChain-v0"
-    """Environment id"""
+    """Environment id, or a plant file ending in .toml"""
     timesteps: int | None = None
     """Steps of all environments together; left out: the table's"""
     seed: int = 0
@@ -89,7 +89,8 @@ def plan(args: Arguments) -> Plan:
     """The training the arguments describe. Raises ValueError for arguments that cannot work."""
     if args.algorithm not in HYPERPARAMETERS:
         raise ValueError(f"`algorithm` must be one of {', '.join(HYPERPARAMETERS)}, got {args.algorithm}.")
-    given = hyperparameters(args.algorithm, args.env)
+    id, options = task_id.named(args.env)
+    given = hyperparameters(args.algorithm, id)
     timesteps = given.timesteps if args.timesteps is None else args.timesteps
     if args.mode not in MODES:
         raise ValueError(f"`mode` must be one of {', '.join(MODES)}, got {args.mode}.")
@@ -106,13 +107,13 @@ def plan(args: Arguments) -> Plan:
     if args.patience is not None and args.patience < 1:
         raise ValueError(f"`patience` must be at least 1, got {args.patience}.")
     names = ("scenario", "reference", "dt", "horizon", "input_limit", "order", "derivatives", "effort")
-    options = {**given.environment, **{name: value for name in names if (value := getattr(args, name)) is not None}}
+    options |= {**given.environment, **{name: value for name in names if (value := getattr(args, name)) is not None}}
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
     if not (math.isfinite(args.fade) and args.fade >= 0):
         raise ValueError(f"`fade` must be finite and >= 0, got {args.fade}.")
     through = (args.mode, args.observe, Base(*parse(args.base), args.bound), args.fade)
-    return Plan(args.algorithm, args.env, options, args.seed, timesteps, args.episodes, args.patience, *through)
+    return Plan(args.algorithm, id, options, args.seed, timesteps, args.episodes, args.patience, *through)
 
 
 def line(row: dict[str, Any]) -> str:

@@ -149,7 +149,7 @@ def test_errors(make: Make, options: dict[str, Any], message: str) -> None:
 
 def test_a_theta_that_is_drawn_need_not_be_the_usual_one() -> None:
     """The chain's usual theta lies on the edge of what is admissible, where nothing may move outwards."""
-    env = gym.make(CHAIN, scenario="random", schedule={"alpha1": SINE})
+    env = gym.make("mfc_gym/PerturbedChain-v0", scenario="random", schedule={"alpha1": SINE})
     assert env.reset(seed=0)[0].size == 10
 
 

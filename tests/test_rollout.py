@@ -159,9 +159,7 @@ def test_controller_with_another_input_limit() -> None:
     controller = baselines.make("mfc", gym.make(CHAIN, input_limit=20.0, substeps=1))
     env = gym.make(CHAIN, horizon=0.2)
     for run in (baselines.rollout, baselines.filippov):
-        with pytest.raises(
-            ValueError, match="`controller` must be made for this environment's input_limit 50.0, got one for 20"
-        ):
+        with pytest.raises(ValueError, match="`controller` must be made for this environment's input_limit 50"):
             run(env, controller)
 
 
