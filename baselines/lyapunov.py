@@ -116,8 +116,8 @@ def from_surface(k: Array, c: Array | None = None) -> Array:
 def positive_definite(name: str, P: Array, n: int) -> Array:
     """P checked: symmetric, positive definite, shape (n, n). Raises ValueError naming `name`."""
     found = _array(P, float)
-    symmetric = found.shape == (n, n) and np.allclose(found, found.T, atol=1e-9 * np.abs(found).max())
-    if not symmetric or not np.isfinite(found).all():
+    square = found.shape == (n, n) and np.isfinite(found).all()
+    if not square or not np.allclose(found, found.T, atol=1e-9 * np.abs(found).max()):
         raise ValueError(f"`{name}` must be a symmetric matrix of shape ({n}, {n}), got {P}.")
     if (smallest := np.linalg.eigvalsh(found)[0]) <= 0:
         raise ValueError(f"`{name}` must be positive definite, got smallest eigenvalue {smallest:g}.")

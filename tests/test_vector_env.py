@@ -451,7 +451,7 @@ def test_a_reset_is_needed():
         ({"num_envs": 0}, "`num_envs` must be an integer >= 1, got 0"),
         ({"num_envs": 2, "threads": 0}, "`threads` must be an integer >= 1, got 0"),
         ({"num_envs": 2, "render_mode": "rgb_array"}, "`render_mode` must be None"),
-        ({"num_envs": 2, "autoreset_mode": "sometimes"}, "is not a valid AutoresetMode"),
+        ({"num_envs": 2, "autoreset_mode": "sometimes"}, "`autoreset_mode` must be one of"),
         ({"num_envs": 2, "max_episode_steps": 10}, "`max_episode_steps` must be at least horizon / dt = 2000, got 10"),
         ({"num_envs": 2, "scenario": "none"}, "`scenario` must be one of"),
         ({"num_envs": 2, "mass": 3.0}, "mass"),

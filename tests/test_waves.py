@@ -89,7 +89,7 @@ def test_bounds_hold(family: str) -> None:
         ({"wave": "sine", "height": 1}, "`disturbance` of x1: `wave` must have parameters among"),
         (
             {"wave": "sine", "amplitude": float("nan")},
-            "`disturbance` of x1: `amplitude` of a wave must be a finite number",
+            "`disturbance` of x1: `amplitude` of a wave must be a number of at most",
         ),
         ({"wave": "drift", "duration": 0}, "`disturbance` of x1: `duration` of a wave must be positive"),
     ],
