@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from baselines import figures
-from baselines.comparison_text import by_label
+from baselines.comparison_text import by_label, trainings
 from baselines.comparison_text import number as shown
 from baselines.evaluation import Result
 
@@ -103,7 +103,7 @@ def learning(data: Data) -> Figure:
         highest = max([highest, *value[np.isfinite(value)]])
         steps, top = np.array(one["timesteps"]) / 1e6, np.where(np.isnan(high), 1e3, high)
         ax.fill_between(steps, low, top, color=colour, alpha=0.25, linewidth=0)
-        name = f"{plain(one['label'])}, {one['trainings']} training{'s' if one['trainings'] > 1 else ''}"
+        name = f"{plain(one['label'])}, {trainings(one['trainings'])}"
         ax.plot(steps, value, colour, marker=MARKERS[k % len(MARKERS)], markersize=3, linewidth=1.4, label=name)
     level = data["learning"]["level"]
     if level is not None:

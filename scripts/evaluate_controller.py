@@ -15,11 +15,11 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-from rich.table import Table
+from rich.text import Text
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, evaluation, figures, files, statistics
+from baselines import command_line, evaluation, figures, files, statistics, tables
 from baselines.provenance import provenance
 
 COLUMNS = (
@@ -110,21 +110,31 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
     return gym.make(args.env, **options)
 
 
-def table(results: list[evaluation.Result], title: str) -> Table:
+CAPTION = (
+    "e = y - y_d; the transient is the first half of the horizon, the tail the second. iae, ise, itae: integrals of abs(e), "
+    "e^2, t abs(e). settling time: after it abs(e) stays within 2 % of the largest abs(y_d). energy: integral of u^2. "
+    "variation ratio: variation of u over that of the exact solution."
+)
+
+
+def show(results: list[evaluation.Result], title: str, console: Console) -> None:
     """One row per metric, one column per controller; over many episodes the interquartile mean with its 95 % interval."""
-    drawn = Table(
-        title=title, caption="e = y - y_d; the transient is the first half of the horizon, the tail the second"
-    )
-    drawn.add_column("metric")
-    drawn.add_column("unit")
-    for result in results:
-        drawn.add_column(result.entry.label, justify="right")
-    drawn.add_row("reads", "", *("\n".join(result.entry.reads) for result in results), end_section=True)
     units = evaluation.units()
-    for metric in COLUMNS:
-        cells = [_cell(evaluation.column(r, metric), metric) for r in results]
-        drawn.add_row(metric.replace("_", " "), units[metric], *cells, style="bold" if metric == "tail_rms" else None)
-    return drawn
+    names = (
+        tables.Column("metric", [Text("reads"), *(Text(m.replace("_", " "), _style(m)) for m in COLUMNS)]),
+        tables.Column("unit", [Text(), *(tables.number(units[m]) for m in COLUMNS)]),
+    )
+    tables.side_by_side(console, title, names, [_column(result) for result in results], ruled={0})
+    console.print(CAPTION, style="italic")
+
+
+def _column(result: evaluation.Result) -> tables.Column:
+    cells = [tables.number(_cell(evaluation.column(result, m), m), bold=bool(_style(m))) for m in COLUMNS]
+    return tables.Column(result.entry.label, [Text("\n".join(result.entry.reads)), *cells])
+
+
+def _style(metric: str) -> str:
+    return "bold" if metric == "tail_rms" else ""
 
 
 def _cell(values: np.ndarray, metric: str) -> str:
@@ -171,7 +181,7 @@ def main(args: Arguments) -> None:
     figures.save(figures.episode(results), out / "episode.png")
     if args.sweep:
         figures.save(figures.sampling(sweep(args, seeds), "tail RMS of $y - y_d$"), out / "sweep.png")
-    console.print(table(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}"))
+    show(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}", console)
     console.print(f"Written to {out}: results.json, results.csv, episode.png{', sweep.png' if args.sweep else ''}")
 
 

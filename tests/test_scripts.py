@@ -1,6 +1,7 @@
 """The commands as a user calls them: results on disk, and errors before anything is written."""
 
 import csv
+import io
 import json
 import subprocess
 import sys
@@ -9,7 +10,10 @@ from typing import Any
 
 import gymnasium as gym
 import pytest
+from rich.console import Console
+from rich.text import Text
 
+from baselines import tables
 from scripts import benchmark, evaluate_controller
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +40,29 @@ def test_evaluation_writes_results_that_agree(tmp_path: Path, capsys: pytest.Cap
     printed = capsys.readouterr().out
     assert "tail rms" in printed
     assert "mfc" in printed
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_tables_cut_nothing(width: int) -> None:
+    """Headings that differ at their end stay apart; every number is whole; no line is wider than the terminal."""
+    headings = [f"ppo:results/ppo-{i}/best" for i in range(7)]
+    numbers = [f"{i}.2345e-05 [0.000{i}, 0.00123]" for i in range(7)]
+    columns = [tables.Column(h, [tables.number(n)]) for h, n in zip(headings, numbers, strict=True)]
+    console = Console(width=width, file=io.StringIO())
+    tables.side_by_side(console, "title", [tables.Column("metric", [Text("settling time")])], columns)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "…" not in printed
+    assert all(number in printed for number in numbers)
+    assert all(heading in printed for heading in headings)
+    assert max(map(len, printed.splitlines())) <= width
+
+
+def test_long_headings_fold() -> None:
+    console = Console(width=80, file=io.StringIO())
+    tables.side_by_side(
+        console, "", [tables.Column("", [Text("a")])], [tables.Column("x" * 40, [tables.number("1.5")])]
+    )
+    assert console.file.getvalue().count("x") == 40  # type: ignore[attr-defined]
 
 
 def test_evaluation_is_reproducible_and_order_free(tmp_path: Path) -> None:
