@@ -5,6 +5,7 @@
         --scenario random --episodes 100 --seed 0 --out results/random
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,9 @@ COLUMNS = (
     "tail_rms", "tail_max", "transient_rms", "rms", "iae", "ise", "itae", "settling_time", "energy",
     "tail_total_variation_rate", "variation_ratio", "saturation_time", "peak", "step_time", "escaped", "return",
 )  # fmt: skip
+
+
+Prepared = tuple[gym.Env[Any, Any], list[evaluation.Entry]]
 
 
 @dataclass(frozen=True)
@@ -78,19 +82,6 @@ class Arguments:
     """Folder for results and figures"""
 
 
-def sweep(args: Arguments, seeds: range) -> dict[str, list[tuple[float, float, float]]]:
-    """Per controller (dt, median tail RMS, median variation of u per second in the tail)."""
-    rows: dict[str, list[tuple[float, float, float]]] = {}
-    for dt in args.sweep:
-        env = environment(replace(args, dt=dt))
-        for specification in args.controllers:
-            result = evaluation.run(evaluation.entry(specification, env), env, seeds)
-            medians = (np.median(evaluation.column(result, m)) for m in ("tail_rms", "tail_total_variation_rate"))
-            error, variation = (float(m) for m in medians)
-            rows.setdefault(specification, []).append((dt, error, variation))
-    return rows
-
-
 def environment(args: Arguments) -> gym.Env[Any, Any]:
     """The environment the arguments describe."""
     names = (
@@ -108,6 +99,38 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
     if args.env.endswith(".toml"):
         return gym.make("mfc_gym/Plant-v0", system=args.env, **options)
     return gym.make(args.env, **options)
+
+
+def prepared(args: Arguments) -> Prepared:
+    """The environment and every controller. Raises ValueError for arguments that cannot work."""
+    env = environment(args)
+    simulation: Any = env.unwrapped.simulation  # type: ignore[attr-defined]
+    if simulation.steps < 2:
+        raise ValueError(
+            f"`horizon` must be at least 2 dt, got horizon = {simulation.horizon} and dt = {simulation.dt}."
+        )
+    return env, [evaluation.entry(specification, env) for specification in args.controllers]
+
+
+def sweep(tasks: Mapping[float, Prepared], seeds: range) -> dict[str, list[tuple[float, float, float]]]:
+    """Per controller (dt, median tail RMS, median variation of u per second in the tail), from what is prepared for each dt."""
+    rows: dict[str, list[tuple[float, float, float]]] = {}
+    for dt, (env, entries) in tasks.items():
+        for one in entries:
+            result = evaluation.run(one, env, seeds)
+            medians = (np.median(evaluation.column(result, m)) for m in ("tail_rms", "tail_total_variation_rate"))
+            error, variation = (float(m) for m in medians)
+            rows.setdefault(one.label, []).append((dt, error, variation))
+    return rows
+
+
+def seeds_of(args: Arguments) -> range:
+    """One seed for each episode. Raises ValueError for counts and seeds that cannot work."""
+    count = args.episodes if args.episodes is not None else (1 if args.scenario == "paper" else 20)
+    for name, value, least in (("episodes", count, 1), ("seed", args.seed, 0), ("exact", args.exact, 0)):
+        if value < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+    return range(args.seed, args.seed + count)
 
 
 CAPTION = (
@@ -153,21 +176,16 @@ def main(args: Arguments) -> None:
     console = Console()
     if not args.controllers:
         raise ValueError(f"`controllers` must name at least one of {', '.join(baselines.names())}, got none.")
-    count = args.episodes if args.episodes is not None else (1 if args.scenario == "paper" else 20)
-    if count < 1:
-        raise ValueError(f"`episodes` must be at least 1, got {count}.")
-    if args.seed < 0:
-        raise ValueError(f"`seed` must be at least 0, got {args.seed}.")
+    seeds = seeds_of(args)
+    env, entries = prepared(args)
+    tasks = {dt: prepared(replace(args, dt=dt)) for dt in args.sweep}
     out = evaluation.writable(args.out)
-    env = environment(args)
-    entries = [evaluation.entry(specification, env) for specification in args.controllers]
-    seeds = range(args.seed, args.seed + count)
     results = []
     with Progress(
         *Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn(), console=console
     ) as bar:
         for one in entries:
-            task = bar.add_task(one.label, total=count)
+            task = bar.add_task(one.label, total=len(seeds))
             results.append(evaluation.run(one, env, seeds, args.exact, partial(bar.advance, task)))
     data = {
         "environment": {"id": args.env, "options": env.spec.kwargs if env.spec else {}},
@@ -180,8 +198,8 @@ def main(args: Arguments) -> None:
     evaluation.write_csv(out / "results.csv", results, seeds)
     figures.save(figures.episode(results), out / "episode.png")
     if args.sweep:
-        figures.save(figures.sampling(sweep(args, seeds), "tail RMS of $y - y_d$"), out / "sweep.png")
-    show(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}", console)
+        figures.save(figures.sampling(sweep(tasks, seeds), "tail RMS of $y - y_d$"), out / "sweep.png")
+    show(results, f"{args.env}, scenario {args.scenario}, {len(seeds)} episode{'s' if len(seeds) > 1 else ''}", console)
     console.print(f"Written to {out}: results.json, results.csv, episode.png{', sweep.png' if args.sweep else ''}")
 
 
