@@ -9,6 +9,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from baselines import figures
 from baselines.comparison_text import by_label, trainings
@@ -46,7 +47,7 @@ def intervals(data: Data, part: Callable[[Data], Data | None], label: str, log: 
     ax.set_yticks(range(count), [shift["title"] for shift in data["shifts"]])
     ax.set_ylim(count - 0.5, -0.5)
     ax.set_xlabel(label)
-    figure.legend(loc="outside upper left", ncols=3, frameon=False)
+    figures.legend(figure, most=3)
     return figure
 
 
@@ -84,12 +85,21 @@ def profiles(data: Data) -> Figure:
             ax.semilogx(shift["tau"], found["value"], colour, linestyle=_line(k), linewidth=1.4, label=name)
         ax.set_title(shift["title"], fontsize="small")
         ax.set_ylim(0, 1.02)
+        few_labels(ax, shift["tau"][0], shift["tau"][-1])
     for ax in panels[len(data["shifts"]) :]:
         ax.set_axis_off()
     figure.supxlabel("tail RMS of y - y_d", fontsize="medium")
     figure.supylabel("fraction of the episodes below", fontsize="medium")
-    figure.legend(loc="outside upper left", ncols=4, frameon=False)
+    figures.legend(figure)
     return figure
+
+
+def few_labels(ax: Axes, low: float, high: float) -> None:
+    """At most four labels on a logarithmic axis: decades, and where there is hardly one also 3 times these."""
+    subs = (1.0,) if high / low > 30 else (1.0, 3.0)
+    ax.xaxis.set_major_locator(LogLocator(subs=subs, numticks=4))
+    ax.xaxis.set_major_formatter(LogFormatterSciNotation(labelOnlyBase=False, minor_thresholds=(np.inf, np.inf)))
+    ax.xaxis.set_minor_formatter(NullFormatter())
 
 
 def learning(data: Data) -> Figure:
