@@ -1,7 +1,9 @@
 """Benchmarks, each one run, side by side.
 
-python scripts/benchmark.py sampled    # the reference policy in sampled time against the exact solution
-python scripts/benchmark.py speed      # environments, control laws, exact solution, start, memory, each beside its yardstick
+# the reference policy in sampled time against the exact solution
+python scripts/benchmark.py sampled
+# environments, control laws, exact solution, start, memory, each beside its yardstick
+python scripts/benchmark.py speed
 """
 
 import sys
@@ -189,7 +191,10 @@ def main(args: Sampled | Speed) -> None:
 def run() -> None:
     """The command line."""
     command_line.run(
-        main, lambda: tyro.extras.subcommand_cli_from_dict({"sampled": Sampled, "speed": Speed}, description=__doc__)
+        main,
+        lambda: tyro.extras.subcommand_cli_from_dict(
+            {"sampled": Sampled, "speed": Speed}, description=command_line.description(__doc__)
+        ),
     )
 
 

@@ -1,8 +1,7 @@
 """Evaluate controllers on the same episodes: a table, results.json, results.csv and figures.
 
-    python scripts/evaluate_controller.py mfc single-loop matched-only
-    python scripts/evaluate_controller.py mfc mfc:switching=sign,design=paper --env mfc_gym/PerturbedChain-v0 \
-        --scenario random --episodes 100 --seed 0 --out results/random
+python scripts/evaluate_controller.py mfc single-loop matched-only
+python scripts/evaluate_controller.py mfc mfc:switching=sign,design=paper --scenario random --episodes 100 --out results/random
 """
 
 from collections.abc import Mapping
@@ -205,7 +204,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

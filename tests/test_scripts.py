@@ -42,6 +42,40 @@ def test_evaluation_writes_results_that_agree(tmp_path: Path, capsys: pytest.Cap
     assert "mfc" in printed
 
 
+WITHOUT_EXTRAS = """
+import runpy, sys
+class Missing:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in ("torch", "stable_baselines3", "sb3_contrib", "safetensors", "minari", "h5py"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Missing())
+""".strip()
+COMMANDS = sorted(path for path in (ROOT / "scripts").glob("*.py") if "tyro" in path.read_text())
+
+
+@pytest.mark.parametrize("script", COMMANDS, ids=lambda path: path.stem)
+def test_help_shows_every_example_on_its_own_line(script: Path) -> None:
+    """Also where an extra is missing."""
+    run = f"{WITHOUT_EXTRAS}\nsys.argv = ['script', '--help']; runpy.run_path({str(script)!r}, run_name='__main__')"
+    result = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True, cwd=ROOT)
+    lines = [line.strip() for line in result.stdout.splitlines()]
+    examples = [line.strip() for line in script.read_text().split('"""')[1].splitlines() if "python " in line]
+    assert examples
+    assert [line for line in lines if line in examples] == examples
+    assert not any("  " in line for line in examples)
+
+
+@pytest.mark.parametrize(("script", "extra"), [("train_rl", "rl"), ("record_episodes", "interop")])
+def test_a_missing_extra_is_named(script: str, extra: str, tmp_path: Path) -> None:
+    argument = "ppo" if script == "train_rl" else "mfc"
+    path = ROOT / "scripts" / f"{script}.py"
+    run = f"{WITHOUT_EXTRAS}\nsys.argv = ['script', {argument!r}]; runpy.run_path({str(path)!r}, run_name='__main__')"
+    result = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 2
+    assert f'is not installed, run `pip install -c constraints.txt -e ".[{extra}]"`' in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_tables_cut_nothing(width: int) -> None:
     """Headings that differ at their end stay apart; every number is whole; no line is wider than the terminal."""
