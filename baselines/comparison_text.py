@@ -39,7 +39,9 @@ def number(value: float | None, infinite: str = "∞") -> str:
 
 
 def interval(estimate: Data) -> str:
-    """[low, high] of a cost or of the return."""
+    """[low, high] of a cost or of the return; empty where nothing varies."""
+    if estimate["low"] == estimate["value"] == estimate["high"]:
+        return ""
     low = number(estimate["low"], "∞" if estimate["value"] is None else "-∞")
     return f"[{low}, {number(estimate['high'])}]"
 
@@ -203,7 +205,14 @@ def markdown(data: Data) -> str:
 
 def words(data: Data) -> str:
     """What is to be said of each policy, and how to read the tables, as Markdown."""
-    return "\n\n".join([*(f"**{cell(label)}** {cell(said)}" for label, said in headline(data).items()), LEGEND])
+    said = [f"**{cell(label)}** {cell(sentence)}" for label, sentence in headline(data).items()]
+    return "\n\n".join([*said, *filter(None, [copies(data)]), LEGEND])
+
+
+def copies(data: Data) -> str:
+    """Which shifts have nothing random in them, where there are any."""
+    titles = [shift["title"] for shift in data["shifts"] if shift["copies"]]
+    return f"All episodes are the same, so there are no intervals over them: {'; '.join(titles)}." if titles else ""
 
 
 def tables(data: Data) -> list[Table]:
@@ -221,7 +230,7 @@ def tables(data: Data) -> list[Table]:
 
 LEGEND = (
     "Brackets: 95 % bootstrap interval over trainings and episodes. Bold: the best, and those whose intervals overlap its own, "
-    "among the policies that stay in the operating region as often as the best does. "
+    "among the policies that stay in the operating region as often as the best does; nothing is bold where all overlap. "
     "▲ better, ▼ worse than the reference policy on the same episodes, by the median factor; ≈ within 5 % or not "
     "distinguishable. An episode that leaves the operating region has an infinite cost: ∞ means that too many did."
 )
@@ -259,8 +268,8 @@ def trainings(count: int) -> str:
 def _cells(estimates: list[Data], metric: str, among: set[int]) -> list[Cell]:
     """One for each policy."""
     chosen = best(estimates, metric, among)
-    shown = [(number(one["value"], worst(metric)), *([interval(one)] if "low" in one else [])) for one in estimates]
-    return [Cell(parts, k in chosen) for k, parts in enumerate(shown)]
+    shown = [(number(one["value"], worst(metric)), interval(one) if "low" in one else "") for one in estimates]
+    return [Cell(tuple(filter(None, parts)), k in chosen) for k, parts in enumerate(shown)]
 
 
 def _shift_cell(policy: Data, metric: str) -> Cell:

@@ -178,11 +178,14 @@ def speed(args: Speed, console: Console) -> None:
 
 
 def main(args: Sampled | Speed) -> None:
-    """Run and print."""
+    """Run and print. Raises ValueError for arguments that cannot work, before anything runs."""
     console = Console(width=None if sys.stdout.isatty() else 110)
     if isinstance(args, Speed):
         speed(args, console)
         return
+    for name, value, least in (("cases", args.cases, 1), ("seed", args.seed, 0)):
+        if value < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {value}.")
     accuracy(console)
     admissible_set(args, console)
     laws(args, console)

@@ -20,6 +20,7 @@ from rich.text import Text
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
 from baselines import command_line, evaluation, figures, files, statistics, tables
+from baselines.metrics import METRICS
 from baselines.provenance import provenance
 
 COLUMNS = (
@@ -92,12 +93,20 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
         if given := getattr(args, name):
             options[name] = dict(evaluation.parse(each) for each in given)
     if args.actuator is not None:
-        options["actuator"] = evaluation.parse(f"actuator:{args.actuator}")[1]
+        options["actuator"] = actuator(args.actuator)
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
     if args.env.endswith(".toml"):
         return gym.make("mfc_gym/Plant-v0", system=args.env, **options)
     return gym.make(args.env, **options)
+
+
+def actuator(text: str) -> dict[str, Any]:
+    """The options of `--actuator`. Raises ValueError for text that is not option=value,..."""
+    try:
+        return evaluation.parse(f"actuator:{text}")[1]
+    except ValueError as error:
+        raise ValueError(f"`actuator` must be option=value,..., got {text!r}.") from error
 
 
 def prepared(args: Arguments) -> Prepared:
@@ -139,6 +148,12 @@ CAPTION = (
 )
 
 
+def same(result: evaluation.Result) -> bool:
+    """Whether there are several episodes and all are the first one."""
+    first, *others = ([episode[metric] for metric in METRICS] for episode in result.episodes)
+    return bool(others) and all(one == first for one in others)
+
+
 def show(results: list[evaluation.Result], title: str, console: Console) -> None:
     """One row per metric, one column per controller; over many episodes the interquartile mean with its 95 % interval."""
     units = evaluation.units()
@@ -148,10 +163,13 @@ def show(results: list[evaluation.Result], title: str, console: Console) -> None
     )
     tables.side_by_side(console, title, names, [_column(result) for result in results], ruled={0})
     console.print(CAPTION, style="italic")
+    if all(map(same, results)):
+        console.print("Nothing is random here: all episodes are the same, so there are no intervals.", style="italic")
 
 
 def _column(result: evaluation.Result) -> tables.Column:
-    cells = [tables.number(_cell(evaluation.column(result, m), m), bold=bool(_style(m))) for m in COLUMNS]
+    shown = replace(result, episodes=result.episodes[:1]) if same(result) else result
+    cells = [tables.number(_cell(evaluation.column(shown, m), m), bold=bool(_style(m))) for m in COLUMNS]
     return tables.Column(result.entry.label, [Text("\n".join(result.entry.reads)), *cells])
 
 

@@ -121,6 +121,7 @@ def test_evaluation_is_reproducible_and_order_free(tmp_path: Path) -> None:
         (("mfc", "--env", "mfc_gym/Nothing-v0"), "Nothing"),
         (("mfc", "--dt", "-1"), "`dt` must be positive"),
         (("mfc", "--episodes", "0"), "`episodes` must be at least 1"),
+        (("mfc", "--actuator", "lag"), "`actuator` must be option=value,..., got 'lag'."),
         (("mfc", "--exact", "-1"), "`exact` must be at least 0"),
         (("mfc", "--horizon", "0.01"), "`horizon` must be at least 2 dt"),
         (("mfc", "--sweep", "0.01", "0.03"), "`horizon` must be a multiple of `dt`"),
@@ -136,6 +137,18 @@ def test_errors_are_one_sentence_and_write_nothing(arguments: tuple[str, ...], m
     assert message in result.stderr
     assert "Traceback" not in result.stderr
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_copies_of_an_episode_have_no_interval(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluate("mfc", episodes=3, horizon=1.0, exact=0, out=tmp_path)
+    printed = capsys.readouterr().out
+    assert "all episodes are the same" in printed
+    assert "[" not in printed
+
+
+def test_a_benchmark_without_cases_is_refused() -> None:
+    with pytest.raises(ValueError, match="`cases` must be at least 1, got 0"):
+        benchmark.main(benchmark.Sampled(cases=0))
 
 
 def test_a_measurement_that_needs_an_extra_is_left_out(
