@@ -12,10 +12,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from baselines.agent_schema import FIRST_FORMAT, FORMAT, check_agent, parse
+from baselines.extras import missing
 from baselines.files import replace, write_json
 from baselines.interface import Interface
 from baselines.observer import Observer
@@ -27,7 +27,7 @@ try:
     from safetensors.numpy import load as load_tensors
     from safetensors.numpy import save as save_tensors
 except ModuleNotFoundError as error:
-    raise gym.error.DependencyNotInstalled('safetensors is not installed, run `pip install "mfc-gym[rl]"`') from error
+    raise missing("safetensors", "rl") from error
 
 DESCRIPTION, WEIGHTS = "agent.json", "weights.safetensors"
 MAX_DESCRIPTION = 4 * 2**20  # bytes

@@ -8,12 +8,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
+from baselines.extras import missing
+
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    raise gym.error.DependencyNotInstalled(
-        'Stable-Baselines3 is not installed, run `pip install "mfc-gym[rl]"`'
-    ) from error
+    raise missing("Stable-Baselines3", "rl") from error
 
 Indices = int | Iterable[int] | None
 

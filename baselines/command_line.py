@@ -2,10 +2,17 @@
 
 import sys
 from collections.abc import Callable
+from textwrap import indent
 from typing import Any
 
 import gymnasium as gym
 from rich.console import Console
+
+
+def description(docstring: str | None) -> str:
+    """A module's docstring as the help shows it: the first line, and the examples as they are, which tyro would join."""
+    first, _, examples = (docstring or "").strip().partition("\n\n")
+    return f"{first}\n{indent(examples, '  ')}"
 
 
 def run(main: Callable[[Any], None], parse: Callable[[], Any]) -> None:

@@ -45,7 +45,8 @@ def data(contest: Contest, bootstrap: Bootstrap, progress: Callable[[], object] 
             policies.append(_policy(label, one, by_label[contest.reference], tau, bootstrap, contest.reference))
             progress()
         title = changes.pop("title")
-        shifts.append({"name": name, "title": title, "changes": changes, "tau": tau.tolist(), "policies": policies})
+        what = {"name": name, "title": title, "changes": changes, "copies": _copies(by_label)}
+        shifts.append({**what, "tau": tau.tolist(), "policies": policies})
     return {
         "format": FORMAT,
         "environment": dict(contest.environment),
@@ -58,6 +59,12 @@ def data(contest: Contest, bootstrap: Bootstrap, progress: Callable[[], object] 
         "scores": _scores(contest, bootstrap),
         "learning": _learning(contest, bootstrap),
     }
+
+
+def _copies(by_label: Mapping[str, Played]) -> bool:
+    """Whether there are several episodes and every run does the same in all of them."""
+    scores = np.stack([run for one in by_label.values() for measure in MEASURES for run in one.scores[measure]])
+    return scores.shape[1] > 1 and bool((scores == scores[:, :1]).all())
 
 
 def _policy(label: str, one: Played, reference: Played, tau: Array, bootstrap: Bootstrap, against: str) -> Data:

@@ -9,9 +9,10 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from baselines import figures
-from baselines.comparison_text import by_label
+from baselines.comparison_text import by_label, trainings
 from baselines.comparison_text import number as shown
 from baselines.evaluation import Result
 
@@ -46,7 +47,7 @@ def intervals(data: Data, part: Callable[[Data], Data | None], label: str, log: 
     ax.set_yticks(range(count), [shift["title"] for shift in data["shifts"]])
     ax.set_ylim(count - 0.5, -0.5)
     ax.set_xlabel(label)
-    figure.legend(loc="outside upper left", ncols=3, frameon=False)
+    figures.legend(figure, most=3)
     return figure
 
 
@@ -84,12 +85,21 @@ def profiles(data: Data) -> Figure:
             ax.semilogx(shift["tau"], found["value"], colour, linestyle=_line(k), linewidth=1.4, label=name)
         ax.set_title(shift["title"], fontsize="small")
         ax.set_ylim(0, 1.02)
+        few_labels(ax, shift["tau"][0], shift["tau"][-1])
     for ax in panels[len(data["shifts"]) :]:
         ax.set_axis_off()
     figure.supxlabel("tail RMS of y - y_d", fontsize="medium")
     figure.supylabel("fraction of the episodes below", fontsize="medium")
-    figure.legend(loc="outside upper left", ncols=4, frameon=False)
+    figures.legend(figure)
     return figure
+
+
+def few_labels(ax: Axes, low: float, high: float) -> None:
+    """At most four labels on a logarithmic axis: decades, and where there is hardly one also 3 times these."""
+    subs = (1.0,) if high / low > 30 else (1.0, 3.0)
+    ax.xaxis.set_major_locator(LogLocator(subs=subs, numticks=4))
+    ax.xaxis.set_major_formatter(LogFormatterSciNotation(labelOnlyBase=False, minor_thresholds=(np.inf, np.inf)))
+    ax.xaxis.set_minor_formatter(NullFormatter())
 
 
 def learning(data: Data) -> Figure:
@@ -103,7 +113,7 @@ def learning(data: Data) -> Figure:
         highest = max([highest, *value[np.isfinite(value)]])
         steps, top = np.array(one["timesteps"]) / 1e6, np.where(np.isnan(high), 1e3, high)
         ax.fill_between(steps, low, top, color=colour, alpha=0.25, linewidth=0)
-        name = f"{plain(one['label'])}, {one['trainings']} training{'s' if one['trainings'] > 1 else ''}"
+        name = f"{plain(one['label'])}, {trainings(one['trainings'])}"
         ax.plot(steps, value, colour, marker=MARKERS[k % len(MARKERS)], markersize=3, linewidth=1.4, label=name)
     level = data["learning"]["level"]
     if level is not None:

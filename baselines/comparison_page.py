@@ -64,7 +64,7 @@ def page(data: Data, pictures: list[Picture]) -> str:
         rest=[row for row in every if row["metric"] != text.METRICS["tail_rms"]],
         tables=[_table(data, metric, title) for metric, title in text.METRICS.items()],
         pictures=pictures,
-        legend=text.LEGEND,
+        legend=" ".join(filter(None, [text.copies(data), text.LEGEND])),
     )
 
 

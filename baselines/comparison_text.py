@@ -3,6 +3,7 @@
 import html
 import math
 import re
+from dataclasses import dataclass
 from typing import Any
 
 from baselines.shifts import IN_DISTRIBUTION
@@ -38,7 +39,9 @@ def number(value: float | None, infinite: str = "∞") -> str:
 
 
 def interval(estimate: Data) -> str:
-    """[low, high] of a cost or of the return."""
+    """[low, high] of a cost or of the return; empty where nothing varies."""
+    if estimate["low"] == estimate["value"] == estimate["high"]:
+        return ""
     low = number(estimate["low"], "∞" if estimate["value"] is None else "-∞")
     return f"[{low}, {number(estimate['high'])}]"
 
@@ -177,33 +180,66 @@ def _left(policies: list[Data]) -> str:
     return f"{count} of {episodes}"
 
 
+@dataclass(frozen=True)
+class Cell:
+    """What a table says of one policy: the value, its interval, further remarks."""
+
+    parts: tuple[str, ...]
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of a name and one cell for each policy."""
+
+    title: str
+    policies: list[str]
+    rows: list[tuple[str, list[Cell]]]
+
+
 def markdown(data: Data) -> str:
     """The tables as Markdown: in distribution first, then one table over the shifts for each metric."""
+    first, *others = (_table(table) for table in tables(data))
+    return "\n\n".join(["## In distribution", first, "## Under shifts", *others, words(data)]) + "\n"
+
+
+def words(data: Data) -> str:
+    """What is to be said of each policy, and how to read the tables, as Markdown."""
+    said = [f"**{cell(label)}** {cell(sentence)}" for label, sentence in headline(data).items()]
+    return "\n\n".join([*said, *filter(None, [copies(data)]), LEGEND])
+
+
+def copies(data: Data) -> str:
+    """Which shifts have nothing random in them, where there are any."""
+    titles = [shift["title"] for shift in data["shifts"] if shift["copies"]]
+    return f"All episodes are the same, so there are no intervals over them: {'; '.join(titles)}." if titles else ""
+
+
+def tables(data: Data) -> list[Table]:
+    """In distribution first, then over the shifts for each metric."""
     labels = [policy["label"] for policy in data["policies"]]
-    parts = ["## In distribution", _first_table(data), "## Under shifts"]
+    found = [Table("", [_with_runs(policy) for policy in data["policies"]], _first_rows(data))]
     for metric, title in METRICS.items():
         rows = [
-            [cell(shift["title"]), *(_shift_cell(by_label(shift)[label], metric) for label in labels)]
+            (shift["title"], [_shift_cell(by_label(shift)[label], metric) for label in labels])
             for shift in data["shifts"]
         ]
-        parts.append(f"{MAIN[metric]} of: {title}\n\n{_table(['', *map(cell, labels)], rows)}")
-    parts += [f"**{cell(label)}** {cell(sentence)}" for label, sentence in headline(data).items()]
-    parts.append(LEGEND)
-    return "\n\n".join(parts) + "\n"
+        found.append(Table(f"{MAIN[metric]} of: {title}", labels, rows))
+    return found
 
 
 LEGEND = (
     "Brackets: 95 % bootstrap interval over trainings and episodes. Bold: the best, and those whose intervals overlap its own, "
-    "among the policies that stay in the operating region as often as the best does. "
+    "among the policies that stay in the operating region as often as the best does; nothing is bold where all overlap. "
     "▲ better, ▼ worse than the reference policy on the same episodes, by the median factor; ≈ within 5 % or not "
     "distinguishable. An episode that leaves the operating region has an infinite cost: ∞ means that too many did."
 )
 
 
-def _first_table(data: Data) -> str:
+def _first_rows(data: Data) -> list[tuple[str, list[Cell]]]:
     """What the README shows."""
     here = list(by_label(in_distribution(data)).values())
-    rows: list[list[str]] = []
+    rows: list[tuple[str, list[Cell]]] = []
     for name, metric, statistic in (
         ("tail RMS, median", "tail_rms", "median"),
         ("tail RMS, interquartile mean", "tail_rms", "iqm"),
@@ -212,36 +248,46 @@ def _first_table(data: Data) -> str:
         ("return, mean", "return", "mean"),
     ):
         estimates = [policy["metrics"][metric][statistic] for policy in here]
-        shown = [f"{number(one['value'], worst(metric))} {interval(one)}" for one in estimates]
-        rows.append([name, *_bold(shown, estimates, metric, safe(data))])
+        rows.append((name, _cells(estimates, metric, safe(data))))
     worsts = [{"value": policy["metrics"]["tail_rms"]["worst"]} for policy in here]
-    rows.insert(
-        3, ["tail RMS, worst", *_bold([number(one["value"]) for one in worsts], worsts, "tail_rms", safe(data))]
-    )
+    rows.insert(3, ("tail RMS, worst", _cells(worsts, "tail_rms", safe(data))))
     left = [policy["metrics"]["escaped"] for policy in here]
-    rows.append(["left the operating region", *(f"{one['count']} of {one['episodes']}" for one in left)])
-    return _table(["", *(cell(_with_runs(policy)) for policy in data["policies"])], rows)
+    rows.append(("left the operating region", [Cell((f"{one['count']} of {one['episodes']}",)) for one in left]))
+    return rows
 
 
 def _with_runs(policy: Data) -> str:
-    return f"{policy['label']}, {policy['runs']} trainings" if policy["trained"] else policy["label"]
+    return f"{policy['label']}, {trainings(policy['runs'])}" if policy["trained"] else policy["label"]
 
 
-def _bold(shown: list[str], estimates: list[Data], metric: str, among: set[int]) -> list[str]:
-    """The best ones bold."""
+def trainings(count: int) -> str:
+    """A number of trainings in words."""
+    return f"{count} training{'' if count == 1 else 's'}"
+
+
+def _cells(estimates: list[Data], metric: str, among: set[int]) -> list[Cell]:
+    """One for each policy."""
     chosen = best(estimates, metric, among)
-    return [f"**{one}**" if k in chosen else one for k, one in enumerate(shown)]
+    shown = [(number(one["value"], worst(metric)), interval(one) if "low" in one else "") for one in estimates]
+    return [Cell(tuple(filter(None, parts)), k in chosen) for k, parts in enumerate(shown)]
 
 
-def _shift_cell(policy: Data, metric: str) -> str:
+def _shift_cell(policy: Data, metric: str) -> Cell:
     estimate = policy["metrics"][metric][MAIN[metric]]
     parts = [number(estimate["value"], worst(metric)), interval(estimate), mark(policy["against"], metric)]
-    return " ".join([*filter(None, parts), *([f"({left(policy)} left)"] if left(policy) else [])])
+    gone = [f"({left(policy)} left)"] if left(policy) else []
+    return Cell(tuple(filter(None, [*parts, *gone])))
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+def _table(table: Table) -> str:
+    rows = [[name, *(_bold(" ".join(one.parts), one.best) for one in cells)] for name, cells in table.rows]
+    lines = [["", *map(cell, table.policies)], ["---"] * (1 + len(table.policies)), *rows]
+    drawn = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return f"{table.title}\n\n{drawn}" if table.title else drawn
+
+
+def _bold(text: str, best: bool) -> str:
+    return f"**{text}**" if best else text
 
 
 def cell(text: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from baselines.extras import missing
 from baselines.provenance import provenance
 from baselines.rollout import rollout
 from baselines.trajectory import Trajectory
@@ -20,7 +21,7 @@ try:
     from minari.data_collector.episode_buffer import EpisodeBuffer
     from minari.dataset.minari_dataset import parse_dataset_id
 except ModuleNotFoundError as error:
-    raise gym.error.DependencyNotInstalled('Minari is not installed, run `pip install "mfc-gym[interop]"`') from error
+    raise missing("Minari", "interop") from error
 
 
 def write(

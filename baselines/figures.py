@@ -2,22 +2,38 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from baselines.evaluation import Result
 from baselines.files import replace
 from baselines.filippov import ExactSolution
 
+CHATTER = 10.0  # times the variation of the calmest input, from which on an input hides the others
+LABEL = 60  # characters of a legend's line
 Array = NDArray[np.float64]
 
 
 def save(figure: Figure, path: Path) -> None:
     """Write the figure whole or not at all."""
     replace(path, lambda target: figure.savefig(target, dpi=150))
+
+
+def legend(figure: Figure, handles: Sequence[Artist] | None = None, most: int = 4) -> None:
+    """Above the axes, with as many columns as the width takes; long labels on several lines."""
+    found = [h for ax in figure.axes for h in ax.get_legend_handles_labels()[0]] if handles is None else list(handles)
+    labels = [fill(str(handle.get_label()), LABEL) for handle in found]
+    for columns in range(min(most, len(found)), 0, -1):
+        drawn = figure.legend(found, labels, loc="outside upper left", ncols=columns, frameon=False, fontsize="small")
+        if columns == 1 or drawn.get_window_extent().width < figure.bbox.width:
+            break
+        drawn.remove()
 
 
 def _axes(rows: int, height: float) -> tuple[Figure, NDArray[Any]]:
@@ -30,17 +46,23 @@ def _axes(rows: int, height: float) -> tuple[Figure, NDArray[Any]]:
 
 
 def episode(results: Sequence[Result]) -> Figure:
-    """The first episode of each policy: output over the reference, error on a logarithmic scale, input."""
+    """The first episode of each policy: output over the reference, error on a logarithmic scale, input.
+
+    What moves most is drawn below and pale, the first policy on top.
+    """
     figure, (output, error, control) = _axes(3, 7.5)
     reference = max((r.first for r in results), key=lambda t: t.time.size)
     output.plot(reference.time, reference.reference[:, 0], "k--", label="$y_d$", linewidth=1)
-    for result in results:
-        t = result.first
-        output.plot(t.time, t.output_derivatives[:, 0], label=result.entry.label, linewidth=1)
-        error.semilogy(t.time, np.maximum(np.abs(t.error), 1e-12), linewidth=1)
-        control.step(t.time[:-1], t.control, where="post", linewidth=0.8)
+    variations = [float(np.abs(np.diff(r.first.control)).sum()) for r in results]
+    for i, (result, variation) in enumerate(zip(results, variations, strict=True)):
+        t, order = result.first, 3 - i / len(results)
+        output.plot(t.time, t.output_derivatives[:, 0], label=result.entry.label, linewidth=1, zorder=order)
+        error.semilogy(t.time, np.maximum(np.abs(t.error), 1e-12), linewidth=1, zorder=order)
+        chatters = variation > CHATTER * min(variations)
+        look = {"linewidth": 0.3, "alpha": 0.4, "zorder": 1} if chatters else {"linewidth": 1, "zorder": order}
+        control.step(t.time[:-1], t.control, where="post", **look)
     output.set_ylabel("$y$")
-    figure.legend(loc="outside upper left", ncols=4, frameon=False, fontsize="small")
+    legend(figure)
     error.set_ylabel("$|y - y_d|$")
     control.set_ylabel("$u$")
     return figure
@@ -67,10 +89,13 @@ def paper(mfc: ExactSolution, matched_only: ExactSolution) -> Figure:
             V.plot(time, np.einsum("ti,ij,tj->t", e, P, e), colour, linestyle=style, linewidth=1.0)
             w.plot(time, 2.0 * e @ P[:, -1], colour, linestyle=style, linewidth=1.0)
     error.set_ylabel(r"$y - y_d$")
-    error.legend(loc="upper right", fontsize="small")
+    own = Line2D(
+        [], [], color="C1", linestyle="-.", linewidth=1.0, label=r"matched only, its own $\tilde V$ and $\tilde w$"
+    )
+    legend(figure, [*error.get_lines(), own])
     V.set_ylabel(r"$\tilde V$")
     w.set_ylabel(r"$\tilde w$")
-    w.set_ylim(-0.15, 0.15)
+    w.margins(y=0.05)
     u.set_ylabel("$u$")
     return figure
 
@@ -79,7 +104,7 @@ def sampling(
     rows: Mapping[str, Sequence[tuple[float, float, float]]], accuracy_label: str, exact_variation: float | None = None
 ) -> Figure:
     """Per law (dt in s, error, variation of u per second in the tail) over dt; dotted: the exact solution's variation."""
-    figure = Figure(figsize=(7.5, 3.6), layout="constrained")
+    figure = Figure(figsize=(7.5, 3.6 + 0.1 * len(rows)), layout="constrained")
     accuracy, variation = figure.subplots(1, 2)
     for i, (label, points) in enumerate(rows.items()):
         dt, error, rate = np.array(sorted(points)).T
@@ -87,11 +112,11 @@ def sampling(
         accuracy.loglog(1e3 * dt, error, f"C{i % 4}{style}o", label=label, markersize=3, linewidth=1)
         variation.loglog(1e3 * dt, rate, f"C{i % 4}{style}o", markersize=3, linewidth=1)
     if exact_variation is not None:
-        variation.axhline(exact_variation, color="k", linewidth=0.8, linestyle=":")
+        variation.axhline(exact_variation, color="k", linewidth=0.8, linestyle=":", label="exact solution")
     accuracy.set_ylabel(accuracy_label)
     variation.set_ylabel("variation of $u$ per second, tail")
     for ax in (accuracy, variation):
         ax.set_xlabel("sampling time in ms")
         ax.grid(alpha=0.3, which="both")
-    accuracy.legend(fontsize="x-small")
+    legend(figure)
     return figure

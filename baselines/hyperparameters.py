@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+FADE = 2.0  # widths of the error in which a correction fades, in its standard deviations
+
 
 @dataclass(frozen=True)
 class Hyperparameters:

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from baselines.agent_schema import MAX_LAYERS, MAX_WIDTH
+from baselines.extras import missing
 from baselines.interface import Interface
 from baselines.policy_network import ACTIVATIONS, Agent, Array, Features, Layer
 
 try:
     import torch
 except ModuleNotFoundError as error:
-    raise gym.error.DependencyNotInstalled('torch is not installed, run `pip install "mfc-gym[rl]"`') from error
+    raise missing("torch", "rl") from error
 
 WEIGHTS = "policy.pth"  # in the .zip
 MAX_ZIP = 256 * 2**20  # bytes, of the file and of the weights in it

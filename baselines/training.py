@@ -12,7 +12,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 
 from baselines import checkpoint, learner
 from baselines.agent_files import save_agent
-from baselines.hyperparameters import Hyperparameters, hyperparameters
+from baselines.hyperparameters import FADE, Hyperparameters, hyperparameters
 from baselines.imitation import Cloning, actor, clone, record
 from baselines.interface import Interface
 from baselines.modes import MODES
@@ -43,7 +43,7 @@ class Plan:
     mode: str = "direct"  # of MODES
     observe: tuple[str, ...] = ()  # see `baselines.observer.observer`
     base: Base = field(default_factory=Base)  # what is corrected or imitated; a mode that does neither leaves it alone
-    fade: float = 2.0  # widths of the error in which a correction fades, in its standard deviations; 0: it does not
+    fade: float = FADE  # 0: a correction does not fade
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -183,11 +183,13 @@ def train(
     """Train to the end of the plan: `out` gets the agents `best` and `last`, a checkpoint, and TensorBoard's events.
 
     `progress` hears the timesteps so far, `report` each row of the curve and the reference policy's.
-    Raises ValueError if `out` holds a training and `resume` is False, or another training than this plan's.
+    Raises ValueError if `out` holds a training and `resume` is False, or none, or another than this plan's, and it is True.
     """
     begun = (out / CHECKPOINT).exists()
     if begun and not resume:
         raise ValueError(f"`out` must not hold a training unless `resume` is given, got {out}.")
+    if resume and not begun:
+        raise ValueError(f"`resume` must find a training in `out`, got none in {out}.")
     training = Training(plan)
     if begun:
         training.resume(out)

@@ -1,7 +1,9 @@
 """Benchmarks, each one run, side by side.
 
-python scripts/benchmark.py sampled    # the reference policy in sampled time against the exact solution
-python scripts/benchmark.py speed      # environments, control laws, exact solution, start, memory, each beside its yardstick
+# the reference policy in sampled time against the exact solution
+python scripts/benchmark.py sampled
+# environments, control laws, exact solution, start, memory, each beside its yardstick
+python scripts/benchmark.py speed
 """
 
 import sys
@@ -176,11 +178,14 @@ def speed(args: Speed, console: Console) -> None:
 
 
 def main(args: Sampled | Speed) -> None:
-    """Run and print."""
+    """Run and print. Raises ValueError for arguments that cannot work, before anything runs."""
     console = Console(width=None if sys.stdout.isatty() else 110)
     if isinstance(args, Speed):
         speed(args, console)
         return
+    for name, value, least in (("cases", args.cases, 1), ("seed", args.seed, 0)):
+        if value < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {value}.")
     accuracy(console)
     admissible_set(args, console)
     laws(args, console)
@@ -189,7 +194,10 @@ def main(args: Sampled | Speed) -> None:
 def run() -> None:
     """The command line."""
     command_line.run(
-        main, lambda: tyro.extras.subcommand_cli_from_dict({"sampled": Sampled, "speed": Speed}, description=__doc__)
+        main,
+        lambda: tyro.extras.subcommand_cli_from_dict(
+            {"sampled": Sampled, "speed": Speed}, description=command_line.description(__doc__)
+        ),
     )
 
 

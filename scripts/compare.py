@@ -15,6 +15,7 @@ import tyro
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import MofNCompleteColumn, Progress, TaskID, TimeRemainingColumn
+from rich.text import Text
 
 import mfc_gym  # noqa: F401 (registers the environments)
 from baselines import (
@@ -26,6 +27,7 @@ from baselines import (
     figures,
     files,
     shifts,
+    tables,
 )
 from baselines.comparison import MEASURES, Played, Policy
 from baselines.comparison_data import Contest
@@ -141,6 +143,20 @@ def write_csv(path: Path, contest: Contest) -> None:
     files.replace(path, write)
 
 
+def show(data: dict[str, Any], console: Console) -> None:
+    """The tables and what is to be said of them."""
+    for one in comparison_text.tables(data):
+        names = tables.Column("", [Text(name) for name, _ in one.rows])
+        by_policy = zip(*(cells for _, cells in one.rows), strict=True)
+        columns = [
+            tables.Column(label, [tables.number("\n".join(cell.parts), cell.best) for cell in cells])
+            for label, cells in zip(one.policies, by_policy, strict=True)
+        ]
+        title = one.title or "In distribution"
+        tables.side_by_side(console, title, [names], columns, ruled=range(len(one.rows)))
+    console.print(Markdown(comparison_text.words(data)))
+
+
 def checked(args: Arguments) -> tuple[list[Policy], str]:
     """Policies and the label of the reference policy. Raises ValueError for arguments that cannot work."""
     for name, value, least in (("episodes", args.episodes, 1), ("reps", args.reps, 1), ("seed", args.seed, 0)):
@@ -172,19 +188,18 @@ def main(args: Arguments) -> None:
         drawn = pictures(data, contest)
     files.write_json(out / "results.json", data)
     write_csv(out / "scores.csv", contest)
-    markdown = comparison_text.markdown(data)
-    files.replace(out / "comparison.md", lambda path: path.write_text(markdown))
+    files.replace(out / "comparison.md", lambda path: path.write_text(comparison_text.markdown(data)))
     for picture in drawn:
         figures.save(picture.figure, out / f"{picture.name}.png")
     files.replace(out / "comparison.html", lambda path: path.write_text(page(data, drawn)))
-    console.print(Markdown(markdown))
+    show(data, console)
     names = ", ".join(["comparison.html", "comparison.md", "results.json", "scores.csv"])
     console.print(f"Written to {out}: {names}, {len(drawn)} figures")
 
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

@@ -70,6 +70,13 @@ def rows(system: FlatSystem) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
+CAPTION = (
+    "phi_m = L_Delta L_f^(n-1) h: what of Delta enters in the input's row; phi_u = (L_Delta L_f^k h for k <= n-2, 0): what "
+    "enters in the rows above it. delta_1, delta_3, delta_m bound abs of Delta_1, Delta_3, phi_m; sharp_1, sharp_3 bound "
+    "abs(Delta_1) / (1 + Delta_3), abs(Delta_3) / (1 + Delta_3): the same seen through the true input gain."
+)
+
+
 def pole(p: complex) -> str:
     """Four digits; the imaginary rounding errors of a multiple pole are left out."""
     return f"{p.real:.4g}" if abs(p.imag) < 1e-3 * abs(p) else f"{p.real:.4g}{p.imag:+.4g}i"
@@ -95,7 +102,7 @@ def main(args: Arguments) -> None:
     options: dict[str, Any] = {name: value for name in names if (value := getattr(args, name)) is not None}
     env = task_id.make(args.system, options)
     system: FlatSystem = env.unwrapped.simulation.plant.system  # type: ignore[attr-defined]
-    table = Table(title=f"{system.name}, order {system.order}", show_header=False)
+    table = Table(title=f"{system.name}, order {system.order}", show_header=False, caption=CAPTION)
     for name, value in [*rows(system), *designs(env)]:
         table.add_row(Text(name), Text(value))
     console = Console()
@@ -107,7 +114,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """Evaluate controllers on the same episodes: a table, results.json, results.csv and figures.
 
-    python scripts/evaluate_controller.py mfc single-loop matched-only
-    python scripts/evaluate_controller.py mfc mfc:switching=sign,design=paper --env mfc_gym/PerturbedChain-v0 \
-        --scenario random --episodes 100 --seed 0 --out results/random
+python scripts/evaluate_controller.py mfc single-loop matched-only
+python scripts/evaluate_controller.py mfc mfc:switching=sign,design=paper --scenario random --episodes 100 --out results/random
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,17 +15,21 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-from rich.table import Table
+from rich.text import Text
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, evaluation, figures, files, statistics, task_id
+from baselines import command_line, evaluation, figures, files, statistics, tables, task_id
+from baselines.metrics import METRICS
 from baselines.provenance import provenance
 
 COLUMNS = (
     "tail_rms", "tail_max", "transient_rms", "rms", "iae", "ise", "itae", "settling_time", "energy",
     "tail_total_variation_rate", "variation_ratio", "saturation_time", "peak", "step_time", "escaped", "return",
 )  # fmt: skip
+
+
+Prepared = tuple[gym.Env[Any, Any], list[evaluation.Entry]]
 
 
 @dataclass(frozen=True)
@@ -78,19 +82,6 @@ class Arguments:
     """Folder for results and figures"""
 
 
-def sweep(args: Arguments, seeds: range) -> dict[str, list[tuple[float, float, float]]]:
-    """Per controller (dt, median tail RMS, median variation of u per second in the tail)."""
-    rows: dict[str, list[tuple[float, float, float]]] = {}
-    for dt in args.sweep:
-        env = environment(replace(args, dt=dt))
-        for specification in args.controllers:
-            result = evaluation.run(evaluation.entry(specification, env), env, seeds)
-            medians = (np.median(evaluation.column(result, m)) for m in ("tail_rms", "tail_total_variation_rate"))
-            error, variation = (float(m) for m in medians)
-            rows.setdefault(specification, []).append((dt, error, variation))
-    return rows
-
-
 def environment(args: Arguments) -> gym.Env[Any, Any]:
     """The environment the arguments describe."""
     names = (
@@ -102,27 +93,86 @@ def environment(args: Arguments) -> gym.Env[Any, Any]:
         if given := getattr(args, name):
             options[name] = dict(evaluation.parse(each) for each in given)
     if args.actuator is not None:
-        options["actuator"] = evaluation.parse(f"actuator:{args.actuator}")[1]
+        options["actuator"] = actuator(args.actuator)
     if args.noise is not None:
         options["sensors"] = {"noise": args.noise}
     return task_id.make(args.env, options)
 
 
-def table(results: list[evaluation.Result], title: str) -> Table:
+def actuator(text: str) -> dict[str, Any]:
+    """The options of `--actuator`. Raises ValueError for text that is not option=value,..."""
+    try:
+        return evaluation.parse(f"actuator:{text}")[1]
+    except ValueError as error:
+        raise ValueError(f"`actuator` must be option=value,..., got {text!r}.") from error
+
+
+def prepared(args: Arguments) -> Prepared:
+    """The environment and every controller. Raises ValueError for arguments that cannot work."""
+    env = environment(args)
+    simulation: Any = env.unwrapped.simulation  # type: ignore[attr-defined]
+    if simulation.steps < 2:
+        raise ValueError(
+            f"`horizon` must be at least 2 dt, got horizon = {simulation.horizon} and dt = {simulation.dt}."
+        )
+    return env, [evaluation.entry(specification, env) for specification in args.controllers]
+
+
+def sweep(tasks: Mapping[float, Prepared], seeds: range) -> dict[str, list[tuple[float, float, float]]]:
+    """Per controller (dt, median tail RMS, median variation of u per second in the tail), from what is prepared for each dt."""
+    rows: dict[str, list[tuple[float, float, float]]] = {}
+    for dt, (env, entries) in tasks.items():
+        for one in entries:
+            result = evaluation.run(one, env, seeds)
+            medians = (np.median(evaluation.column(result, m)) for m in ("tail_rms", "tail_total_variation_rate"))
+            error, variation = (float(m) for m in medians)
+            rows.setdefault(one.label, []).append((dt, error, variation))
+    return rows
+
+
+def seeds_of(args: Arguments) -> range:
+    """One seed for each episode. Raises ValueError for counts and seeds that cannot work."""
+    count = args.episodes if args.episodes is not None else (1 if args.scenario == "paper" else 20)
+    for name, value, least in (("episodes", count, 1), ("seed", args.seed, 0), ("exact", args.exact, 0)):
+        if value < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {value}.")
+    return range(args.seed, args.seed + count)
+
+
+CAPTION = (
+    "e = y - y_d; the transient is the first half of the horizon, the tail the second. iae, ise, itae: integrals of abs(e), "
+    "e^2, t abs(e). settling time: after it abs(e) stays within 2 % of the largest abs(y_d). energy: integral of u^2. "
+    "variation ratio: variation of u over that of the exact solution."
+)
+
+
+def same(result: evaluation.Result) -> bool:
+    """Whether there are several episodes and all are the first one."""
+    first, *others = ([episode[metric] for metric in METRICS] for episode in result.episodes)
+    return bool(others) and all(one == first for one in others)
+
+
+def show(results: list[evaluation.Result], title: str, console: Console) -> None:
     """One row per metric, one column per controller; over many episodes the interquartile mean with its 95 % interval."""
-    drawn = Table(
-        title=title, caption="e = y - y_d; the transient is the first half of the horizon, the tail the second"
-    )
-    drawn.add_column("metric")
-    drawn.add_column("unit")
-    for result in results:
-        drawn.add_column(result.entry.label, justify="right")
-    drawn.add_row("reads", "", *("\n".join(result.entry.reads) for result in results), end_section=True)
     units = evaluation.units()
-    for metric in COLUMNS:
-        cells = [_cell(evaluation.column(r, metric), metric) for r in results]
-        drawn.add_row(metric.replace("_", " "), units[metric], *cells, style="bold" if metric == "tail_rms" else None)
-    return drawn
+    names = (
+        tables.Column("metric", [Text("reads"), *(Text(m.replace("_", " "), _style(m)) for m in COLUMNS)]),
+        tables.Column("unit", [Text(), *(tables.number(units[m]) for m in COLUMNS)]),
+    )
+    tables.side_by_side(console, title, names, [_column(result) for result in results], ruled={0})
+    console.print(CAPTION, style="italic")
+    if all(map(same, results)):
+        console.print("Nothing is random here: all episodes are the same, so there are no intervals.", style="italic")
+
+
+def _column(result: evaluation.Result) -> tables.Column:
+    shown = replace(result, episodes=result.episodes[:1]) if same(result) else result
+    cells = [tables.number(_cell(evaluation.column(shown, m), m), bold=bool(_style(m))) for m in COLUMNS]
+    return tables.Column(result.entry.label, [Text("\n".join(result.entry.reads)), *cells])
+
+
+def _style(metric: str) -> str:
+    return "bold" if metric == "tail_rms" else ""
 
 
 def _cell(values: np.ndarray, metric: str) -> str:
@@ -141,21 +191,16 @@ def main(args: Arguments) -> None:
     console = Console()
     if not args.controllers:
         raise ValueError(f"`controllers` must name at least one of {', '.join(baselines.names())}, got none.")
-    count = args.episodes if args.episodes is not None else (1 if args.scenario == "paper" else 20)
-    if count < 1:
-        raise ValueError(f"`episodes` must be at least 1, got {count}.")
-    if args.seed < 0:
-        raise ValueError(f"`seed` must be at least 0, got {args.seed}.")
+    seeds = seeds_of(args)
+    env, entries = prepared(args)
+    tasks = {dt: prepared(replace(args, dt=dt)) for dt in args.sweep}
     out = evaluation.writable(args.out)
-    env = environment(args)
-    entries = [evaluation.entry(specification, env) for specification in args.controllers]
-    seeds = range(args.seed, args.seed + count)
     results = []
     with Progress(
         *Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn(), console=console
     ) as bar:
         for one in entries:
-            task = bar.add_task(one.label, total=count)
+            task = bar.add_task(one.label, total=len(seeds))
             results.append(evaluation.run(one, env, seeds, args.exact, partial(bar.advance, task)))
     data = {
         "environment": {"id": args.env, "options": env.spec.kwargs if env.spec else {}},
@@ -168,14 +213,14 @@ def main(args: Arguments) -> None:
     evaluation.write_csv(out / "results.csv", results, seeds)
     figures.save(figures.episode(results), out / "episode.png")
     if args.sweep:
-        figures.save(figures.sampling(sweep(args, seeds), "tail RMS of $y - y_d$"), out / "sweep.png")
-    console.print(table(results, f"{args.env}, scenario {args.scenario}, {count} episode{'s' if count > 1 else ''}"))
+        figures.save(figures.sampling(sweep(tasks, seeds), "tail RMS of $y - y_d$"), out / "sweep.png")
+    show(results, f"{args.env}, scenario {args.scenario}, {len(seeds)} episode{'s' if len(seeds) > 1 else ''}", console)
     console.print(f"Written to {out}: results.json, results.csv, episode.png{', sweep.png' if args.sweep else ''}")
 
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

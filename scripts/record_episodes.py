@@ -4,24 +4,17 @@ python scripts/record_episodes.py mfc --episodes 100 --dataset mfc_gym/chain/mfc
 MINARI_DATASETS_PATH=results/datasets python -c "import mfc_gym, minari; minari.load_dataset('mfc_gym/chain/mfc-v0')"
 """
 
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import gymnasium as gym
 import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 import mfc_gym  # noqa: F401 (registers the environments)
 from baselines import command_line, evaluation, task_id
-
-try:
-    from baselines import demonstrations
-except gym.error.DependencyNotInstalled as error:
-    sys.exit(f"error: {error}")
 
 
 @dataclass(frozen=True)
@@ -54,6 +47,8 @@ class Arguments:
 
 def main(args: Arguments) -> None:
     """Record. Raises ValueError for arguments that cannot work, before anything is written."""
+    from baselines import demonstrations  # here, so that --help works without Minari
+
     for name, value, least in (("episodes", args.episodes, 1), ("seed", args.seed, 0)):
         if value < least:
             raise ValueError(f"`{name}` must be at least {least}, got {value}.")
@@ -74,7 +69,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

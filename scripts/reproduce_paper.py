@@ -12,10 +12,12 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 import baselines
 import mfc_gym  # noqa: F401 (registers the environments)
-from baselines import command_line, evaluation, figures, files
+from baselines import command_line, evaluation, figures, files, tables
+from baselines.comparison_text import number
 from baselines.exact_metrics import exact_metrics, total_variation
 from baselines.filippov import ExactSolution
 
@@ -99,15 +101,14 @@ def sampled() -> dict[str, list[tuple[float, float, float]]]:
     return rows
 
 
-def sampling_table(rows: dict[str, list[tuple[float, float, float]]], index: int, title: str) -> Table:
+def show_sampled(rows: dict[str, list[tuple[float, float, float]]], index: int, title: str, console: Console) -> None:
     """One figure of `sampled` over the sampling time."""
-    table = Table(title=title)
-    table.add_column("switching law, design")
-    for dt in DTS:
-        table.add_column(f"{1e3 * dt:g} ms", justify="right")
-    for label, points in rows.items():
-        table.add_row(label, *(f"{point[index]:.2g}" for point in points))
-    return table
+    names = tables.Column("switching law, design", [Text(label) for label in rows])
+    columns = [
+        tables.Column(f"{1e3 * dt:g} ms", [tables.number(number(points[i][index])) for points in rows.values()])
+        for i, dt in enumerate(DTS)
+    ]
+    tables.side_by_side(console, title, [names], columns)
 
 
 def main(args: Arguments) -> None:
@@ -123,8 +124,8 @@ def main(args: Arguments) -> None:
     rows = sampled()
     variation = total_variation(solutions[labels[0]], 10.0, 20.0) / 10.0
     figures.save(figures.sampling(rows, "max $|y - y_{exact}|$", variation), out / "sampling.png")
-    console.print(sampling_table(rows, 1, "max |y - y_exact| in sampled time"))
-    console.print(sampling_table(rows, 2, f"Variation of u per second in the tail (exact solution: {variation:.3g})"))
+    show_sampled(rows, 1, "max |y - y_exact| in sampled time", console)
+    show_sampled(rows, 2, f"Variation of u per second in the tail (exact solution: {variation:.3g})", console)
     values = {label: {"switching_times": list(solutions[label].switching_times), **metrics[label]} for label in labels}
     files.write_json(out / "values.json", {"exact": values, "sampled": rows})
     console.print(f"Written: {out / 'figure.png'}, {out / 'sampling.png'}, {out / 'values.json'}")
@@ -132,7 +133,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

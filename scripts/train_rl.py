@@ -7,10 +7,9 @@ python scripts/evaluate_controller.py mfc ppo:results/ppo/best --scenario random
 """
 
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -19,16 +18,12 @@ from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeR
 import mfc_gym  # noqa: F401 (registers the environments)
 from baselines import command_line, task_id
 from baselines.evaluation import parse, writable
-from baselines.hyperparameters import HYPERPARAMETERS, hyperparameters
+from baselines.extras import missing
+from baselines.hyperparameters import FADE, HYPERPARAMETERS, hyperparameters
 from baselines.residual import Base
 
-try:
-    import torch
-
-    from baselines.modes import MODES
-    from baselines.training import Plan, train
-except ModuleNotFoundError as error:
-    sys.exit(f'error: {error.name} is not installed, run `pip install "mfc-gym[rl]"`')
+if TYPE_CHECKING:
+    from baselines.training import Plan
 
 
 @dataclass(frozen=True)
@@ -50,7 +45,7 @@ class Arguments:
     """The controller that is corrected or imitated, with options as in evaluate_controller: mfc:margin=1.2"""
     bound: float = Base.bound
     """Largest correction, in actions"""
-    fade: float = Plan.fade
+    fade: float = FADE
     """Errors, in standard deviations, below which the correction's bound shrinks with the error; 0: nowhere"""
     observe: tuple[str, ...] = ()
     """What is seen beside the observation and its error: integral (of the error), last-action, past:k (earlier observations);
@@ -80,13 +75,16 @@ class Arguments:
     threads: int = 1
     """Threads of PyTorch; for small networks one is the fastest"""
     resume: bool = False
-    """Go on with the training in `out`; give the same arguments"""
+    """Go on with the training in `out`, which must hold one; give the same arguments"""
     out: Path = Path("results/training")
     """Folder for the agents `best` and `last`, the checkpoint, and TensorBoard"""
 
 
-def plan(args: Arguments) -> Plan:
+def plan(args: Arguments) -> "Plan":
     """The training the arguments describe. Raises ValueError for arguments that cannot work."""
+    from baselines.modes import MODES
+    from baselines.training import Plan
+
     if args.algorithm not in HYPERPARAMETERS:
         raise ValueError(f"`algorithm` must be one of {', '.join(HYPERPARAMETERS)}, got {args.algorithm}.")
     id, options = task_id.named(args.env)
@@ -124,6 +122,12 @@ def line(row: dict[str, Any]) -> str:
 
 def main(args: Arguments) -> None:
     """Run the training."""
+    try:  # here, so that --help works without them
+        import torch
+
+        from baselines.training import train
+    except ModuleNotFoundError as error:
+        raise missing(error.name, "rl") from error
     console = Console(soft_wrap=True)
     planned, out = plan(args), writable(args.out)
     torch.set_num_threads(args.threads)
@@ -146,7 +150,7 @@ def main(args: Arguments) -> None:
 
 def run() -> None:
     """The command line."""
-    command_line.run(main, lambda: tyro.cli(Arguments, description=__doc__))
+    command_line.run(main, lambda: tyro.cli(Arguments, description=command_line.description(__doc__)))
 
 
 if __name__ == "__main__":

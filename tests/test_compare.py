@@ -309,6 +309,16 @@ def test_markdown_holds_no_html_and_keeps_its_columns(written: Path) -> None:
     assert {line.replace("\\|", "").count("|") for line in lines if line.startswith("|")} == {5}
 
 
+def test_copies_of_an_episode_have_no_interval(tmp_path: Path) -> None:
+    compare.main(arguments(tmp_path, "mfc", "matched-only", scenario="paper"))
+    written = (tmp_path / "out" / "comparison.md").read_text()
+    assert (
+        "All episodes are the same, so there are no intervals over them: in distribution; sampling half as fast."
+        in written
+    )
+    assert "[" not in written
+
+
 def test_a_rerun_is_the_same_and_another_seed_agrees(tmp_path: Path) -> None:
     """Two independent 95 % intervals of one number overlap but for 6 of 1000 cases: 2.8 standard deviations."""
 

@@ -128,7 +128,6 @@ def test_killed_training_resumes_without_a_gap(tmp_path: Path) -> None:
         "4",
         "--out",
         str(tmp_path),
-        "--resume",
     ]
     command, checkpoint = [sys.executable, "-c", COMMAND, *arguments], tmp_path / "checkpoint.pt"
     for wait in (0.0, 0.7):
@@ -138,6 +137,7 @@ def test_killed_training_resumes_without_a_gap(tmp_path: Path) -> None:
                 time.sleep(0.01)
             time.sleep(wait)
             process.send_signal(signal.SIGKILL)
+        command = [sys.executable, "-c", COMMAND, *arguments, "--resume"]
     subprocess.run(command, check=True, capture_output=True)
     curve = json.loads((tmp_path / "last" / "agent.json").read_text())["training"]["curve"]
     assert [row["timesteps"] for row in curve] == [512, 1024, 1536, 2048, 2560, 3072]
@@ -158,6 +158,8 @@ def test_the_seeds_of_training_and_evaluation_are_disjoint() -> None:
 
 def test_a_training_is_neither_overwritten_nor_mixed(short: None, tmp_path: Path) -> None:
     plan = Plan("ppo", ENV, OPTIONS, seed=0, timesteps=512, episodes=2)
+    with pytest.raises(ValueError, match="`resume` must find a training in `out`, got none in"):
+        train(plan, tmp_path, resume=True)
     train(plan, tmp_path)
     with pytest.raises(ValueError, match="`out` must not hold a training"):
         train(plan, tmp_path)
