@@ -23,5 +23,5 @@ def attribute(location: str) -> Any:
     name, _, wanted = location.partition(":")
     found = module(name)
     if not hasattr(found, wanted):
-        raise ValueError(f"`{location}` must be in its module {found.__file__}, which has no {wanted!r}.")
+        raise ValueError(f"`{location}` must be in the module `{name}`, which has no {wanted!r}.")
     return getattr(found, wanted)
