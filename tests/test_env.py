@@ -626,7 +626,7 @@ BAD_KEYWORDS: list[tuple[dict[str, Any], str]] = [
     ({"initial_state": (-11, 0, 0)}, "`initial_state` must lie in the operating region"),
     ({"render_mode": "ansi"}, r"`render_mode` must be one of \['rgb_array'\], got 'ansi'"),
     ({"colour": "red"}, "system 'PerturbedChain' does not take these options: .*'colour'"),
-    ({"order": 1}, "`order` must be an integer >= 2, got 1"),
+    ({"order": 1}, "`order` must be an integer from 2 to 32, got 1"),
     ({"rho": 0.0}, r"`theta` must keep abs\(Delta_3\) <= delta_3 = 0, got theta = \(0.5, -0.5\) with Delta_3 = -0.25"),
     ({"system": "Unknown"}, "`system` must be one of .*, got 'Unknown'"),
 ]
