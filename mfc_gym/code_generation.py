@@ -253,7 +253,7 @@ def spread(system: FlatSystem) -> list[sp.Expr]:
         except ValueError:
             return sp.oo
 
-    return [bound(sp.expand(a - b)) for a, b in zip(system.tau_n, system.tau, strict=True)]
+    return [bound(a - b) for a, b in zip(system.tau_n, system.tau, strict=True)]
 
 
 def complete_bounds(system: FlatSystem) -> dict[str, sp.Expr]:

@@ -1,40 +1,18 @@
-"""How large an expression is and how large it gets: asked before anything is differentiated, multiplied out or simplified."""
+"""Whether the equations of a plant file stay of moderate size: asked before anything is multiplied out or simplified."""
 
 from collections.abc import Sequence
-from math import comb
 
 import numpy as np
 import sympy as sp
 
 from mfc_gym.flat_system import lie
 from mfc_gym.interval import FUNCTIONS
+from mfc_gym.size import expanded_terms, node_count
 
 NODES = 3000  # of a Lie derivative
 TERMS = 5000  # of a Lie derivative when multiplied out
 SIMPLIFIED = 25  # nodes of an expression that may be handed to `sympy.simplify`
 DETERMINANT = 20_000  # terms of a Jacobian determinant when multiplied out
-
-
-def node_count(expression: sp.Basic) -> int:
-    """Number of nodes of the expression tree, shared subtrees counted every time."""
-    return sum(1 for _ in sp.preorder_traversal(expression))
-
-
-def expanded_terms(expression: sp.Expr) -> int:
-    """Upper bound of the number of terms that `sympy.expand` makes of the expression or of any part of it."""
-    if not expression.args:
-        return 1
-    if expression.is_Add:
-        return sum(map(expanded_terms, expression.args))
-    if expression.is_Mul:
-        product = 1
-        for factor in expression.args:
-            product *= expanded_terms(factor)
-        return product
-    if expression.is_Pow and expression.exp.is_Integer:
-        terms, n = expanded_terms(expression.base), abs(int(expression.exp))
-        return comb(terms + n - 1, n)
-    return max(map(expanded_terms, expression.args))
 
 
 def check_derivatives(

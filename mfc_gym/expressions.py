@@ -11,7 +11,7 @@ from decimal import Decimal
 
 import sympy as sp
 
-from mfc_gym.complexity import expanded_terms
+from mfc_gym.size import expanded_terms
 
 Meaning = tuple[Callable[..., sp.Expr], int, int]  # function, least and largest number of its arguments
 FUNCTIONS: dict[str, Meaning] = {

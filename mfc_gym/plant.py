@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 GENERATORS = (  # the modules that take part in writing kernels
-    *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity"),
+    *("flat_system", "code_generation", "task", "plant_file", "expressions", "complexity", "size"),
     *("enclosure", "interval", "interval_function", "branch_and_bound"),
     *("domain", "falsification", "termwise", "triangle", "uncertainty"),
     *("plant_entries", "toml_lines", "variation", "varying"),

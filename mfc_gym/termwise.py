@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from sympy.polys.matrices import DomainMatrix
 
 from mfc_gym.branch_and_bound import Box, enclose
-from mfc_gym.complexity import node_count
+from mfc_gym.size import node_count
 from mfc_gym.triangle import ThetaSet, coefficients
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def proves(
 ) -> bool:
     """Whether abs(expression / divisor(theta)) <= bound (1 + tolerance) follows term by term."""
     terms = [sp.nsimplify(t, rational=True) for t in nonnegative_terms(bound) if t != 0]
-    parts = coefficients(expression, list(theta.box))
+    parts = coefficients(expression, theta)
     if not terms or parts is None or sum(map(node_count, terms)) > SIZE:
         return False
     if any(enclose(t, region, budget=4000)[0] < 0 for t in terms):
@@ -52,7 +52,7 @@ def proves(
     solution = _solve(forms, [float(abs(number)) for number in numbers], weights)
     if solution is None:
         return False
-    shares = (sp.cancel(sp.Add(*(r * p for r, p in zip(row, parts, strict=True))) / divisor) for row in solution)
+    shares = (theta.quotient(sp.Add(*(r * p for r, p in zip(row, parts, strict=True))), divisor) for row in solution)
     return all(theta.supremum(s) <= abs(number) * (1 + tolerance) for s, number in zip(shares, numbers, strict=True))
 
 

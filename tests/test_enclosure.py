@@ -216,6 +216,16 @@ def test_a_constraint_on_delta_3_is_exact() -> None:
     assert theta.supremum(sp.expand(gain - 1) / gain) == round_up(1 / 3)
 
 
+@pytest.mark.parametrize("k", [1, 4, 8, 10, 11])
+def test_a_long_product_is_bounded_as_it_stands(k: int) -> None:
+    """p_k = prod(1 + a_i), i <= k, with abs(p_11 - 1) <= 1/4: p_k <= (3/2)^k and p_k <= 5/4 2^(11-k)."""
+    a = sp.symbols("a1:12", real=True)
+    p = [sp.prod(1 + s for s in a[:i]) for i in range(12)]
+    theta = ThetaSet(dict.fromkeys(a, (-0.5, 0.5)), p[-1] - 1, sp.Rational(1, 4))
+    supremum = min(sp.Rational(3, 2) ** k, sp.Rational(5, 4) * 2 ** (11 - k))
+    assert triangle_bound(p[k] * x - x, theta) == round_up(float(supremum - 1)) * abs(x)
+
+
 def test_a_bound_of_other_terms_is_proved_term_by_term() -> None:
     """a w_1 + (2 a + a^2) w_2 = a (w_1 + 2 w_2) + a^2 w_2, trigonometric terms included."""
     theta, region = ThetaSet({a: (-0.5, 0.5)}), {x: (-4.0, 4.0), y: (-4.0, 4.0)}

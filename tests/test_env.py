@@ -629,7 +629,7 @@ BAD_KEYWORDS: list[tuple[dict[str, Any], str]] = [
         {"colour": "red"},
         "neither the environment .* nor its system 'PerturbedChain' .* takes what is given: .*'colour'",
     ),
-    ({"order": 1}, "`order` must be an integer >= 2, got 1"),
+    ({"order": 1}, "`order` must be an integer from 2 to 32, got 1"),
     ({"rho": 0.0}, r"`theta` must keep abs\(Delta_3\) <= delta_3 = 0, got theta = \(0.5, -0.5\) with Delta_3 = -0.25"),
     ({"system": "Unknown"}, "`system` must be one of .*, got 'Unknown'"),
 ]

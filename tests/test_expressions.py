@@ -10,8 +10,8 @@ import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mfc_gym.complexity import expanded_terms, node_count
 from mfc_gym.expressions import FUNCTIONS, parse
+from mfc_gym.size import expanded_terms, node_count
 
 NAMES = ("x1", "x2", "k")
 x1, x2, k = (sp.Symbol(name, real=True) for name in NAMES)

@@ -1,4 +1,4 @@
-"""The perturbed integrator chain: the illustrative example of [1], Section 6, for any order n >= 2.
+"""The perturbed integrator chain: the illustrative example of [1], Section 6, for any order n from 2 to 32.
 
 [1] Tietze, Wulff, Reger: Trajectory tracking model-following control using Lyapunov redesign with output time-derivatives
     to compensate unmatched uncertainties.
@@ -9,6 +9,8 @@ import sympy as sp
 from mfc_gym.flat_system import INPUT_LIMIT, FlatSystem
 from mfc_gym.task import Task
 
+LARGEST = 32  # order; generating and compiling its kernels takes half a minute
+
 
 def perturbed_chain(order: int = 3, rho: float = 0.25) -> FlatSystem:
     """x_i' = (1 + alpha_i) x_(i+1), x_n' = u + abs(x)^2, y = x_1.
@@ -16,8 +18,8 @@ def perturbed_chain(order: int = 3, rho: float = 0.25) -> FlatSystem:
     With p = prod(1 + alpha_i): Delta_3 = p - 1 and Delta_1 = p abs(x)^2; `rho` bounds abs(p - 1). While abs(u) <= input_limit,
     a state with x_n > sqrt(input_limit) can no longer be stopped from escaping in finite time: the region ends there.
     """
-    if isinstance(order, bool) or not isinstance(order, int) or order < 2:
-        raise ValueError(f"`order` must be an integer >= 2, got {order!r}.")
+    if isinstance(order, bool) or not isinstance(order, int) or not 2 <= order <= LARGEST:
+        raise ValueError(f"`order` must be an integer from 2 to {LARGEST}, got {order!r}.")
     if not 0 <= rho < 1:
         raise ValueError(f"`rho` must lie in [0, 1), got {rho}.")
     names = [f"x{i}" for i in range(1, order + 1)]
