@@ -16,7 +16,8 @@ def perturbed_chain(order: int = 3, rho: float = 0.25) -> FlatSystem:
     """x_i' = (1 + alpha_i) x_(i+1), x_n' = u + abs(x)^2, y = x_1.
 
     With p = prod(1 + alpha_i): Delta_3 = p - 1 and Delta_1 = p abs(x)^2; `rho` bounds abs(p - 1). While abs(u) <= input_limit,
-    a state with x_n > sqrt(input_limit) can no longer be stopped from escaping in finite time: the region ends there.
+    a state with x_n > sqrt(input_limit) can no longer be stopped from escaping in finite time: the region ends there. The task's
+    poles and input limit serve up to order 6; of higher orders slower poles ask for less input.
     """
     if isinstance(order, bool) or not isinstance(order, int) or not 2 <= order <= LARGEST:
         raise ValueError(f"`order` must be an integer from 2 to {LARGEST}, got {order!r}.")
