@@ -448,4 +448,4 @@ def test_a_missing_package_is_named(module: str, package: str) -> None:
     code = f"import sys; sys.modules[{package!r}] = None\nimport gymnasium\n"
     code += f"try:\n    import baselines.{module}\nexcept gymnasium.error.DependencyNotInstalled as e:\n    print(e)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert 'pip install "mfc-gym[rl]"' in done.stdout
+    assert 'pip install -c constraints.txt -e ".[rl]"' in done.stdout

@@ -16,7 +16,7 @@ from mfc_gym import ENV_IDS
 CHAIN = "mfc_gym/PerturbedChain-v0"
 ROOT = Path(baselines.__file__).parents[1]
 LAWS = ("redesign", "redesign_kernel", "gains", "switching", "lyapunov", "model_loop", "controller", "registry")
-ALLOWED = {"mfc_gym.nominal", "mfc_gym.observation", "mfc_gym.kernels"}
+ALLOWED = {"mfc_gym.nominal", "mfc_gym.observation", "mfc_gym.kernels", "mfc_gym.checks"}
 PACKAGES = ("mfc_gym", "baselines")
 TRUTH = ("theta", "delta", "phi", "uncertain", "reward", "cost", "drift_true", "output_derivatives", "output_rate")
 

@@ -64,7 +64,7 @@ def test_plants_in_one_process_are_independent() -> None:
         ("plants:missing", {}, "`system` must name a function of the module plants, got 'plants:missing'"),
         ("plants:not_a_plant", {}, "`system` must name a function of the module plants, got 'plants:not_a_plant'"),
         ("missing.toml", {}, "there is no file 'missing.toml'"),
-        ("PerturbedChain", {"colour": "red"}, "system 'PerturbedChain' does not take these options: .*colour"),
+        ("PerturbedChain", {"colour": "red"}, "its system 'PerturbedChain' .* takes what is given: .*colour"),
         ("PerturbedChain", {"order": np.int64(3)}, "options of the system must be numbers, strings, lists or dicts"),
         ("PerturbedChain", {"order": 1}, "`order` must be an integer from 2 to 32, got 1"),
         ("PerturbedChain", {"order": True}, "`order` must be an integer from 2 to 32, got True"),
