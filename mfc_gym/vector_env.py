@@ -165,7 +165,7 @@ class TrackingVectorEnv(VectorEnv[Array, NDArray[Any], NDArray[Any]]):
             self._begun = False
             raise
         ended = terminated | truncated
-        chosen = np.flatnonzero(ended)
+        chosen = ended.nonzero()[0]
         info = self._info(observations, terminated, ended, chosen) if chosen.size else {}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             np.logical_not(ended, out=self._running)
