@@ -58,7 +58,7 @@ def entry(specification: str, env: gym.Env[Any, Any]) -> Entry:
     own = None if name in registry.CONTROLLERS else OWN.match(specification)
     name, options = parse(specification[own.end() :] if own else specification)
     if own:
-        policy = registry.call(own[1], imported.attribute(own[1]), env.unwrapped.nominal, options)  # type: ignore[attr-defined]
+        policy = registry.call(own[1], imported.factory(own[1]), env.unwrapped.nominal, options)  # type: ignore[attr-defined]
     else:
         policy = registry.make(name, env, **options)
     return Entry(specification, policy, tuple(getattr(policy, "reads", ("observation",))), options)

@@ -18,10 +18,12 @@ def module(name: str) -> Any:
         sys.path.remove(here)
 
 
-def attribute(location: str) -> Any:
-    """The object "module:name". Raises ValueError if there is none."""
+def factory(location: str) -> Any:
+    """The class or function "module:name". Raises ValueError if there is none."""
     name, _, wanted = location.partition(":")
-    found = module(name)
-    if not hasattr(found, wanted):
-        raise ValueError(f"`{location}` must be in the module `{name}`, which has no {wanted!r}.")
-    return getattr(found, wanted)
+    found = getattr(module(name), wanted, None)
+    if not callable(found):
+        raise ValueError(
+            f"`{location}` must be a class or function of the module `{name}`, which has no {wanted!r} to call."
+        )
+    return found

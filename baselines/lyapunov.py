@@ -12,6 +12,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
+from mfc_gym.checks import vector
+
 Array = NDArray[np.float64]
 
 
@@ -41,9 +43,7 @@ def _array(given: Any, kind: type) -> NDArray[Any]:
 
 def hurwitz(name: str, k: Sequence[float], n: int) -> Array:
     """The gains k, shape (n,), checked: A - B k' must be Hurwitz. Raises ValueError naming `name` and the poles."""
-    gains = _array(k, float)
-    if gains.shape != (n,) or not np.isfinite(gains).all():
-        raise ValueError(f"`{name}` must be {n} finite gains, got {k!r}.")
+    gains = vector(name, k, n)
     poles = np.roots([1.0, *gains[::-1]])
     if not (poles.real < 0).all():
         raise ValueError(f"`{name}` must make A - B k' Hurwitz, got {gains} with poles {np.round(poles, 4)}.")

@@ -20,7 +20,7 @@ from baselines.gains import GAINS
 from baselines.model_loop import hermite_matrix
 from baselines.switching import SWITCHINGS
 from mfc_gym import observation as layout
-from mfc_gym.checks import one_of, positive
+from mfc_gym.checks import one_of, positive, vector
 from mfc_gym.nominal import NominalModel
 
 Array = NDArray[np.float64]
@@ -230,10 +230,4 @@ def _start(given: str | Sequence[float], n: int) -> str | tuple[float, ...]:
     if isinstance(given, str):
         one_of("initial_model_state", given, STARTS)
         return given
-    try:
-        start = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        start = np.array(np.nan)
-    if start.shape != (n,) or not np.isfinite(start).all():
-        raise ValueError(f"`initial_model_state` must be {n} finite numbers, 'process' or 'reference', got {given!r}.")
-    return tuple(map(float, start))
+    return tuple(map(float, vector("initial_model_state", given, n)))

@@ -300,7 +300,7 @@ def test_poles_without_their_conjugates() -> None:
 
 @pytest.mark.parametrize("k", [[1.0, 3.0], [1.0, np.nan, 3.0], [[1.0, 3.0, 3.0]], 3.0, None])
 def test_gains_of_the_wrong_kind(k: Any) -> None:
-    with pytest.raises(ValueError, match="`k` must be 3 finite gains, got"):
+    with pytest.raises(ValueError, match="`k` must be 3 finite numbers, got"):
         lyapunov.hurwitz("k", k, 3)
 
 

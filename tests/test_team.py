@@ -133,7 +133,7 @@ def _in_child(queue: Any) -> None:
     queue.put(episodes(0))
 
 
-@pytest.mark.skipif(not hasattr(multiprocessing, "get_context"), reason="no fork")
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # that forking with threads may hang: the helpers must not
 def test_helpers_are_made_anew_after_a_fork() -> None:
     expected = episodes(0)
